@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtr
 
-from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 
 ABSURD_P = 1e-6
 """Probability, corrected for the number of looks, below which an antenna, time or baseline is not one of the others.
@@ -37,6 +37,23 @@ def known_median(values: FloatArray) -> float:
     """Return the median of those values, (N,), that are no NaN; NaN where there are none."""
     known = values[~np.isnan(values)]
     return float(np.median(known)) if known.size else np.nan
+
+
+def medians_of_antennas(values: FloatArray, n: FloatArray, ends: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return medians over each antenna's baselines, and the numbers of rows that they are worth, both (K, Nants).
+
+    It takes half of an antenna's baselines to move them: a few that are bad, or those with an antenna that is, do not.
+
+    Parameters
+    ----------
+    values, n : ndarray, (K, Nbls)
+        Of each baseline, NaN where nothing is known, and of how many rows.
+    ends : ndarray of int, (Nbls, 2)
+        Its antennas.
+    """
+    of_antennas = [np.flatnonzero((ends == ant).any(axis=1)) for ant in range(int(ends.max()) + 1)]
+    medians = np.array([[known_median(one[mine]) for mine in of_antennas] for one in values])
+    return medians, MEDIAN_WORTH * np.array([[one[mine].sum() for mine in of_antennas] for one in n])
 
 
 def beside_median(values: FloatArray) -> FloatArray:

@@ -8,8 +8,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.noise.standing_out import Choice, StandingOut, Sums, choose
-from hydrabeam_mpi.inference.robust import MEDIAN_WORTH, known_median
+from hydrabeam_mpi.effects.noise.standing_out import Choice, StandingOut, Sums, choose, means_of
+from hydrabeam_mpi.inference.robust import medians_of_antennas
 
 
 class BadBaselines(StandingOut):
@@ -69,17 +69,10 @@ def _choose(setup: ObservingSetup, sums: Sums) -> Choice:
 def _by_antenna(setup: ObservingSetup, sums: Sums) -> Sums:
     """Return medians over each antenna's baselines as sums, (Nfreqs, 2, Nants), of as many rows as they are worth.
 
-    It takes half of an antenna's baselines to move them: a few that are bad, or those with an antenna that is, do not.
     Fitted and held-out rows count as of one sort, the first.
     """
-    numbers, logs, powers = (one.sum(axis=1) for one in sums)
+    numbers, *totals = (one.sum(axis=1) for one in sums)
     ends = setup.observation.antenna_index
-    of_antennas = [np.flatnonzero((ends == ant).any(axis=1)) for ant in range(setup.observation.Nants)]
-    worth = MEDIAN_WORTH * np.stack([numbers[:, mine].sum(axis=1) for mine in of_antennas], axis=1)
-
-    def medians(total: FloatArray) -> FloatArray:
-        means = np.divide(total, numbers, out=np.full(total.shape, np.nan), where=numbers > 0)
-        found = [[known_median(of_channel[mine]) for mine in of_antennas] for of_channel in means]
-        return np.where(worth > 0, worth * found, 0.0)
-
-    return Sums(*(np.stack([one, np.zeros_like(one)], axis=1) for one in (worth, medians(logs), medians(powers))))
+    (logs, worth), (powers, _) = (medians_of_antennas(means_of(one, numbers), numbers, ends) for one in totals)
+    each = (worth, *(np.where(worth > 0, worth * medians, 0.0) for medians in (logs, powers)))
+    return Sums(*(np.stack([one, np.zeros_like(one)], axis=1) for one in each))

@@ -231,7 +231,7 @@ def _beside_most(logs: FloatArray, power: FloatArray, n: FloatArray) -> _BesideM
     if not known.any():
         return _BesideMost(ratios, 0.5)
     rows = rows[known]
-    at, size = (_beside_median(means, n)[known] for means in (_mean(logs, n), np.log(_mean(power, n))))
+    at, size = (_beside_median(means, n)[known] for means in (means_of(logs, n), np.log(means_of(power, n))))
     error2, width2 = LOG_STD**2 / rows, (GAUSSIAN * float(np.median(np.abs(at)))) ** 2
     middle, share, last = 0.0, 1 / (len(at) + 1), 0.0
     log_broad = -np.log(2 * np.log(LARGEST))
@@ -248,7 +248,7 @@ def _beside_most(logs: FloatArray, power: FloatArray, n: FloatArray) -> _BesideM
     return _BesideMost(ratios, last)
 
 
-def _mean(total: FloatArray, n: FloatArray) -> FloatArray:
+def means_of(total: FloatArray, n: FloatArray) -> FloatArray:
     """Return means by their sums and numbers; NaN where there is nothing."""
     return np.divide(total, n, out=np.full(n.shape, np.nan), where=n > 0)
 

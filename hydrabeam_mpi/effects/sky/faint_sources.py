@@ -115,16 +115,17 @@ class FaintSources(Effect):
 
         Where the catalogue lacks few sources that make up most of the data these points stand for them, too.
         """
-        flux, at = x.mean(axis=0), np.array(self._at(setup)).reshape(-1, 2)
-        left, spots, fluxes = np.where(np.any(std > 0, axis=0), flux, 0.0), list[tuple[float, float]](), list[float]()
+        at, spots, fluxes = self._at(setup), list[tuple[float, float]](), list[float]()
+        ra, dec = in_radians(at)
+        left = np.where(np.any(std > 0, axis=0), x.mean(axis=0), 0.0)
         while len(spots) < MOST_SPOTS and left.any():
-            ra, dec = at[np.argmax(left)].tolist()
-            mine = separation(*in_radians(self._at(setup)), *in_radians([(ra, dec)])) < resolution(setup)
+            brightest = int(np.argmax(left))
+            mine = separation(ra, dec, ra[brightest], dec[brightest]) < resolution(setup)
             total, left = float(left[mine].sum()), np.where(mine, 0.0, left)
             if total < LEAST_SPOT * max(fluxes, default=0.0):
                 break
             if total > 0:
-                spots.append((ra, dec))
+                spots.append(at[brightest])
                 fluxes.append(total)
         sources = MissingSources(spots, len(candidates(setup)[0]))
         parameters = sources.parameters(setup)

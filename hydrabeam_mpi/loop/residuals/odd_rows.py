@@ -14,10 +14,9 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, O
 from hydrabeam_mpi.inference.robust import (
     LOG_MEAN,
     LOG_STD,
-    MEDIAN_WORTH,
     MOST_EXCEPTIONS,
     beside_median,
-    known_median,
+    medians_of_antennas,
     outliers,
 )
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
@@ -76,7 +75,7 @@ def odd_rows(power: RowPower, observation: Observation) -> tuple[Finding, ...]:
         place, remedy, span = integration_words(observation.times[[t]], observation.integration_time[[t]])
         found.append(Finding("an integration that stands out", place, why, f"if it is bad, {remedy}", times=(span,)))
     logs, n = _means(power.bls)
-    antennas = dict(_stand_out(*_of_antennas(logs, n, ends)))
+    antennas = dict(_stand_out(*medians_of_antennas(logs, n, ends)))
     for ant, why in antennas.items():
         place, remedy = antenna_words(int(observation.antenna_numbers[ant]))
         found.append(Finding("an antenna that stands out", place, why, f"if it is bad, {remedy}"))
@@ -92,16 +91,6 @@ def _means(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean logs, NaN where there are none, and their numbers, both (2, N); ``sums`` as those of `RowPower`."""
     total, n = sums.swapaxes(0, 1)
     return np.where(n > 0, total / np.maximum(n, 1), np.nan), n
-
-
-def _of_antennas(logs: FloatArray, n: FloatArray, ends: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return medians over each antenna's baselines, and the numbers they are worth, both (2, Nants).
-
-    It takes half of an antenna's baselines to move them: a few that are bad are bad by themselves.
-    """
-    of_antennas = [(ends == ant).any(axis=1) for ant in range(int(ends.max()) + 1)]
-    medians = [[known_median(role[mine]) for mine in of_antennas] for role in logs]
-    return np.array(medians), MEDIAN_WORTH * np.array([[role[mine].sum() for mine in of_antennas] for role in n])
 
 
 def _stand_out(logs: FloatArray, n: FloatArray) -> list[tuple[int, str]]:
