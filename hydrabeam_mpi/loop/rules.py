@@ -41,9 +41,9 @@ class Rules:
     decided_sigmas : float
         Standard errors beyond which held-out data have decided. By so much a gain in their ln density, or a loss, is
         more than a job asks for; else the held-out rows predict the fitted ones as well, and the sum decides. And by so
-        much the rms of their residual has risen, paired over blocks of times or of groups, those that scatter more. One
-        would be a sixth of all that is neither better nor worse, and refuses parts of the beam that the data want; more
-        would cost time where the answer is clear.
+        much the rms of their residual has risen, paired over blocks of times or of groups, those that scatter more, by
+        differences or by ranks. One would be a sixth of all that is neither better nor worse, and refuses parts of the
+        beam that the data want; more would cost time where the answer is clear.
     no_worse : float
         Nats by which held-out data may be less likely with other widths of the beam's prior, where these have the
         evidence of the fitted data: odds of less than e to one are not worth a mention (Kass and Raftery 1995).

@@ -12,7 +12,7 @@ from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.predictive_density import density_of_channels
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
-from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks
+from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks, rank_falls_of_blocks
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 SUMS = (
@@ -87,7 +87,7 @@ class HeldoutNumbers:
         draws of their own.
         """
         pairs = (self.times, before.times), (self.groups, before.groups)
-        return min(falls_of_blocks(pairs), default=0.0)
+        return min(map(max, falls_of_blocks(pairs), rank_falls_of_blocks(pairs)), default=0.0)
 
     def excess_sigma(self, squares: float) -> float:
         """Return the significance of residual power beyond what the noise, and what is uncertain of the model, give.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.beams_given import price_of_left_out
@@ -151,14 +152,31 @@ def falls_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> list[floa
         For each kind of blocks, before and after: the sum and the number, or weight, of each.
     """
     scores = []
-    for one, two in pairs:
-        has = (one[1] > 0) & (two[1] > 0)
-        if has.sum() < 4:
-            continue
-        fall = one[0, has] - two[0, has] * (one[1, has] / two[1, has])
-        spread = float(np.std(fall, ddof=1)) * np.sqrt(has.sum())
+    for fall in _falls(pairs):
+        spread = float(np.std(fall, ddof=1)) * np.sqrt(len(fall))
         scores.append(float(fall.sum()) / spread if spread > 0 else 0.0)
     return scores
+
+
+def rank_falls_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> list[float]:
+    """Return the same from signs and ranks of the blocks' falls (Wilcoxon 1945), where the sum of all falls.
+
+    One block that falls much more than the others widens the standard error of the sum as much as it adds to that, and
+    so hides that most of them fall. Of ranks it is one. Zero where the sum does not fall.
+    """
+    scores = []
+    for fall in _falls(pairs):
+        p = stats.wilcoxon(fall, alternative="greater").pvalue if fall.sum() > 0 else 0.5
+        scores.append(sigma_of_log_p(float(np.log(max(p, np.finfo(float).tiny)))))
+    return scores
+
+
+def _falls(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> Iterator[FloatArray]:
+    """Yield the falls of the blocks of each kind of which there are four or more; see `falls_of_blocks`."""
+    for one, two in pairs:
+        has = (one[1] > 0) & (two[1] > 0)
+        if has.sum() >= 4:
+            yield one[0, has] - two[0, has] * (one[1, has] / two[1, has])
 
 
 def gain_significance(before: HeldoutScore, after: HeldoutScore, log_ratio: float) -> float:

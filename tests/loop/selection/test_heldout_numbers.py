@@ -17,8 +17,10 @@ from hydrabeam_mpi.fit.predicted_power import squares_of_model
 from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.first_and_last import begin
 from hydrabeam_mpi.loop.selection.heldout_numbers import SUMS, HeldoutNumbers
+from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks
 from hydrabeam_mpi.loop.selection.predictions import check, is_at_noise
 from hydrabeam_mpi.random import generator
 from tests.loop.made import numbers
@@ -186,3 +188,26 @@ def test_a_rise_at_one_time_is_none_however_many_groups_it_is_in() -> None:
     times = before.times.copy()
     times[0, 5] += after.times[0].sum() - before.times[0].sum()
     assert replace(after, times=times).rise_sigma(before) == pytest.approx(1.0)
+
+
+def test_a_rise_in_most_blocks_is_one_though_a_single_time_has_most_of_it() -> None:
+    """That time widens the standard error as much as it adds to the rise; of ranks it is one of twenty."""
+    before = numbers(3.0)
+    rng = generator(3, "rises")
+
+    def raised(mean: float) -> HeldoutNumbers:
+        """By so many of their scatter in all blocks, and in one of each kind by a hundred more."""
+        times, groups = before.times.copy(), before.groups.copy()
+        for blocks in (times, groups):
+            blocks[0] *= 1 + 0.01 * (mean + rng.standard_normal(blocks.shape[1]))
+            blocks[0, 4] *= 2
+        return replace(before, times=times, groups=groups)
+
+    most = raised(2.0)
+    assert min(falls_of_blocks([(most.times, before.times), (most.groups, before.groups)])) < 1.5
+    assert most.rise_sigma(before) > RULES.decided_sigmas
+    assert raised(0.0).rise_sigma(before) < RULES.decided_sigmas
+    # Where they fall together, that most of them rise is none.
+    times = most.times.copy()
+    times[0, 4] = 0.0
+    assert replace(most, times=times).rise_sigma(before) <= 0
