@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.eigen import eigen
@@ -55,9 +56,14 @@ class Likelihood:
         present = np.sqrt(np.maximum(np.diag(self.signal), 0.0))
         seen = present > 0
         scale = np.divide(1.0, present, out=np.zeros_like(present), where=seen)
-        values, vectors = eigen(scale[:, np.newaxis] * self.information * scale)
-        told = values > ROUNDING * max(values.max(initial=0.0), 0.0)
-        return 0.5 * float(np.sum((vectors[:, told].T @ (scale * self.score)) ** 2 / values[told]))
+        information, score = scale[:, np.newaxis] * self.information * scale, scale * self.score
+        least = ROUNDING * max(float(np.max(np.diag(information), initial=0.0)), np.finfo(float).tiny)
+        try:
+            return 0.5 * float(score @ cho_solve(cho_factor(information + least * np.eye(len(score))), score))
+        except np.linalg.LinAlgError:
+            values, vectors = eigen(information)
+            told = values > ROUNDING * max(values.max(initial=0.0), 0.0)
+            return 0.5 * float(np.sum((vectors[:, told].T @ score) ** 2 / values[told]))
 
     def marginalised(self, which: IntArray, precision: FloatArray) -> Likelihood:
         """Return the likelihood of the others, with some parameters marginalised that have a prior around zero.

@@ -83,20 +83,46 @@ class JointLikelihood:
 
     def weigh(self, state: State, numbers: Collection[int]) -> State:
         """Return the evidence for some competitors beside those of ``state``, each alone, with its best prior."""
+        found = self._known(state)
+        for i, blocks in self._each_beside(state, [i for i in numbers if i not in found]).items():
+            found[i] = self._possible(i, blocks)
+        return {i: found[i] for i in numbers}
+
+    def foremost(self, state: State, numbers: Collection[int], least: float) -> tuple[State, list[int]]:
+        """Return which has the most evidence beside those of ``state``, as a set of it alone, and which others may.
+
+        The set is empty where none has the ``least``. No prior gives more evidence than the likelihood can rise, so
+        that only those that may come first are weighed.
+        """
+        found = self._known(state)
+        blocks = self._each_beside(state, [i for i in numbers if i not in found])
+        most = {i: sum(one.most_gain() for one in own) for i, own in blocks.items()}
+        most |= {i: found[i].log_bayes_factor for i in numbers if i in found}
+        best: State = {}
+        for i in sorted(numbers, key=lambda i: -most[i]):
+            if most[i] < least:
+                break
+            if i not in found:
+                found[i] = self._possible(i, blocks[i])
+                most[i] = found[i].log_bayes_factor
+            if most[i] >= least:
+                best, least = {i: found[i]}, most[i]
+        return best, [i for i in numbers if most[i] > 0 and i not in best]
+
+    def _known(self, state: State) -> State:
+        """Return what has been found beside those of ``state``, to which more is added."""
         # Moves come back to the same sets, which are told by objects that stay alive as long as what was found.
         key = frozenset((i, id(one)) for i, one in state.items())
-        _, found = self._weighed.setdefault(key, (state, {} if state else dict(self.alone)))
-        for shared in (False, True):
-            of_sort = [i for i in numbers if self.competitors[i].shared is shared and i not in found]
-            for i, blocks in zip(of_sort, self._beside(state, of_sort, shared), strict=True):
-                one = self.competitors[i]
-                found[i] = find_possible(blocks, one.parameters, one.degenerate, one.beyond)
-        return {i: found[i] for i in numbers}
+        return self._weighed.setdefault(key, (state, {} if state else dict(self.alone)))[1]
+
+    def _possible(self, number: int, blocks: Sequence[Likelihood]) -> Evidence:
+        one = self.competitors[number]
+        return find_possible(blocks, one.parameters, one.degenerate, one.beyond)
 
     def worth(self, state: State, number: int) -> float:
         """Return ln evidence for one of a set beside the others, with the prior that it has."""
         one = self.competitors[number]
-        (blocks,) = self._beside(_without(state, number), [number], one.shared)
+        blocks = self._each_beside(_without(state, number), [number])[number]
         return evidence_of(blocks, one.parameters, state[number].prior_var, one.degenerate).log_bayes_factor
 
     def gain(self, state: State) -> float:
@@ -110,8 +136,16 @@ class JointLikelihood:
         """Return by how much no set raises ln likelihood more: what all parameters do without a prior."""
         return sum(one.most_gain() for one in self.by_channel)
 
-    def _beside(self, state: State, numbers: Sequence[int], shared: bool) -> list[list[Likelihood]]:
+    def _each_beside(self, state: State, numbers: Collection[int]) -> dict[int, list[Likelihood]]:
         """Return the likelihood of each of some competitors, with those of a set marginalised."""
+        found = dict[int, list[Likelihood]]()
+        for shared in (False, True):
+            of_sort = [i for i in numbers if self.competitors[i].shared is shared]
+            found |= zip(of_sort, self._beside(state, of_sort, shared), strict=True)
+        return found
+
+    def _beside(self, state: State, numbers: Sequence[int], shared: bool) -> list[list[Likelihood]]:
+        """Return the same of those whose parameters channels share, or of those of which each has its own."""
         if not numbers:
             return []
         model, by_channel = self._beside_model[shared]
@@ -257,13 +291,11 @@ def _added(joint: JointLikelihood, state: State, banned: Collection[int], least:
     """Add effects one by one, the one with the most evidence beside those of the set first, up to a control model."""
     free = _free(joint, state, banned)
     while not any(joint.competitors[i].is_control for i in state):
-        found = joint.weigh(state, free)
-        best = max(found, key=lambda i: found[i].log_bayes_factor, default=None)
-        if best is None or found[best].log_bayes_factor < least:
-            break
-        state = {**state, best: found[best]}
         # What has no evidence beside some effects hardly has it beside more.
-        free = [i for i in free if i != best and found[i].log_bayes_factor > 0]
+        best, free = joint.foremost(state, free, least)
+        if not best:
+            break
+        state = {**state, **best}
     return state
 
 

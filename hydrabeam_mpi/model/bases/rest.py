@@ -44,6 +44,8 @@ class Rest(LinearBasis):
 
     def __init__(self, values: Array) -> None:
         self.values = np.asarray(values, dtype=np.float32)
+        self._at_nodes: dict[tuple[int, int], FloatArray] = {}
+        """Of the tables that were asked for, which is one of each basis that it is beside."""
 
     @cached_property
     def _table(self) -> PolarTable:
@@ -65,12 +67,13 @@ class Rest(LinearBasis):
 
     def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
         """Evaluate a multiple of it at a table's nodes, (Nradii, Naz)."""
-        values = self.columns(*rest_nodes(per_unit, n_az))[0]
-        return np.asarray(coeffs[0]).real * values.reshape(-1, n_az)
+        if (per_unit, n_az) not in self._at_nodes:
+            self._at_nodes[per_unit, n_az] = self.columns(*rest_nodes(per_unit, n_az))[0].reshape(-1, n_az)
+        return np.asarray(coeffs[0]).real * self._at_nodes[per_unit, n_az]
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is made again where it is needed, and is larger than all else."""
-        return {name: value for name, value in vars(self).items() if name != "_table"}
+        return {**{name: value for name, value in vars(self).items() if name != "_table"}, "_at_nodes": {}}
 
     def describe(self) -> dict[str, Any]:
         """Return kind and the values at the nodes, single precision in base 64."""
