@@ -26,7 +26,13 @@ from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
-from hydrabeam_mpi.loop.attribution.few_elements import TAUS, each_alone, few_elements, log_bayes_factors
+from hydrabeam_mpi.loop.attribution.few_elements import (
+    TAUS,
+    Scaled,
+    each_alone,
+    few_elements,
+    log_bayes_factors,
+)
 from hydrabeam_mpi.loop.attribution.price import price_of, price_of_sorts, rarity, sets_of, without_sorts
 
 
@@ -103,7 +109,7 @@ def _best_prior(blocks: Sequence[Likelihood], parameters: Parameters) -> tuple[f
     """Return ln BF and the variances, (q,), of the prior that has the most evidence, of those above, and K's rank."""
     scale = np.where(parameters.nonlinear, 0.0, parameters.scale)
     scaled = _in_natural_sizes(blocks, parameters)
-    spectra = [_spectrum(*block) for block in scaled]
+    spectra = _spectra(*scaled)
     n_elements = len(np.unique(parameters.element))
     dense_log, tau = _dense(spectra, n_elements * rarity(parameters, TAUS))
     best = (dense_log, np.where(scale > 0, (tau * scale) ** 2, 0.0))
@@ -120,7 +126,7 @@ def _best_prior(blocks: Sequence[Likelihood], parameters: Parameters) -> tuple[f
         across_log, widths = few_elements(scaled, sets, tau)
         if across_log > best[0]:
             best = (across_log, (widths[sets.element] * scale) ** 2)
-    return *best, sum(int(np.count_nonzero(values)) for values, _ in spectra)
+    return *best, int(np.count_nonzero(spectra[0]))
 
 
 def _of_fewer_sorts(
@@ -143,10 +149,11 @@ def _of_fewer_sorts(
     return best
 
 
-def _in_natural_sizes(blocks: Sequence[Likelihood], parameters: Parameters) -> list[tuple[FloatArray, FloatArray]]:
+def _in_natural_sizes(blocks: Sequence[Likelihood], parameters: Parameters) -> Scaled:
     """Return K and u of each block for parameters in units of their natural sizes; zero for what is not weighed."""
     scale = np.where(parameters.nonlinear, 0.0, parameters.scale)
-    return [(scale[:, np.newaxis] * block.information * scale, scale * block.score) for block in blocks]
+    information, score = np.array([one.information for one in blocks]), np.array([one.score for one in blocks])
+    return scale[:, np.newaxis] * information * scale, scale * score
 
 
 def find_possible(
@@ -183,18 +190,16 @@ def evidence_of(
     return _describe(blocks, log_evidence(blocks, prior_var) - price_of(parameters, prior_var), prior_var, rank)
 
 
-def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the eigenvalues of K, zero where they count as that, and u along its eigenvectors."""
+def _spectra(information: FloatArray, score: FloatArray) -> Scaled:
+    """Return the eigenvalues of each block's K, zero where they count as that, and u along its eigenvectors."""
     values, vectors = eigen(information)
-    values = np.where(values > RANK_RTOL * max(values[-1], 0.0), values, 0.0)
-    return values, np.where(values > 0, vectors.T @ score, 0.0)
+    values = np.where(values > RANK_RTOL * np.maximum(values[:, -1:], 0.0), values, 0.0)
+    return values, np.where(values > 0, np.einsum("bqi,bq->bi", vectors, score), 0.0)
 
 
-def _dense(spectra: Sequence[tuple[FloatArray, FloatArray]], price: FloatArray) -> tuple[float, float]:
+def _dense(spectra: Scaled, price: FloatArray) -> tuple[float, float]:
     """Return ln BF and tau for the prior that is the same for all; a width has its ``price``, (Ntaus,)."""
-    total = -price
-    for spectrum in spectra:
-        total += log_bayes_factors(*spectrum)
+    total = log_bayes_factors(*spectra).sum(axis=1) - price
     best = int(total.argmax())
     return float(total[best]) - 1.0, float(TAUS[best])
 

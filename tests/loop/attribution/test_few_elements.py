@@ -59,11 +59,13 @@ def test_the_best_is_that_of_all(each: int, loud: int) -> None:
     """Also where it is not the one whose likelihood can rise most, as that would have to be larger than any is."""
     rng = generator(8, "the best of many")
     n = 3 * TRIED_AT_ONCE + 1
-    parameters, blocks = elements(n, each), []
+    parameters, information, score = elements(n, each), [], []
     for _ in range(2):
         columns = rng.standard_normal((N_DATA, n * each)) * np.repeat(rng.choice([1e-5, 0.01, 1.0], n), each)
         data = rng.standard_normal(N_DATA) + columns[:, :loud].sum(axis=1)
-        blocks.append((columns.T @ columns, columns.T @ data))
+        information.append(columns.T @ columns)
+        score.append(columns.T @ data)
+    blocks = np.array(information), np.array(score)
     price = rarity(parameters, TAUS)
     gains, taus = _element_gains(blocks, _members(parameters), price)
     best, gain, tau = _best_element(blocks, _members(parameters), price)
