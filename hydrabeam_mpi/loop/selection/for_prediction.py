@@ -12,12 +12,12 @@ from dataclasses import replace
 
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff
-from hydrabeam_mpi.loop.selection.acceptance import verdict_of
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_heldout, refusal_by_parts
+from hydrabeam_mpi.loop.selection.verdict import why_unexplained
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -27,8 +27,7 @@ def keep_for_prediction(context: FitContext, history: History) -> None:
     One after the other, as they were found, by the rule by which they were added. Where the data are explained by what
     is claimed nothing is given back. Collective: all ranks of the grid.
     """
-    added = any(not one.revoked for one in history.rounds)
-    if verdict_of(history.last, history.control, history.n_given, added) != "unexplained":
+    if why_unexplained(history.last, history.control, history.n_given) is None:
         return
     settings, claimed = context.problem.job.loop, history.last
     for number, one in enumerate(history.rounds):

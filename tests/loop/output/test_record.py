@@ -21,7 +21,8 @@ from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_pri
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.parameters import parameters_of
-from hydrabeam_mpi.loop.output.record import known_effects, make_record
+from hydrabeam_mpi.loop.output.record import make_record
+from hydrabeam_mpi.loop.output.round_record import known_effects
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.setup.findings import Finding

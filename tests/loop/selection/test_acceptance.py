@@ -14,12 +14,10 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
-from hydrabeam_mpi.effects.noise.bad_baselines import BadBaselines
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.gauss_newton import Underway
-from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift, ShapeDrift
 from hydrabeam_mpi.loop.selection.acceptance import (
@@ -30,8 +28,6 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     is_better,
     may_be_better,
     may_still_come_to,
-    verdict_of,
-    why_unexplained,
 )
 from hydrabeam_mpi.loop.selection.heldout_score import fall_significance
 from tests.loop.made import (
@@ -196,36 +192,6 @@ def test_the_significance_is_that_of_blocks_or_of_densities(chi2: float) -> None
     by_blocks = fall_significance(before.score, after.score)
     by_density = sigma_of_log_p(before.score.log_density_at_own_level - after.score.log_density_at_own_level)
     assert improvement(before, after, effect_candidate(AntennaGains())) == max(by_blocks, by_density)
-
-
-WITHOUT_BASELINES = Fitted(Values(reweighted=(Reweighted(BadBaselines(), np.full((1, 3), 5.0), np.zeros((1, 3))),)))
-CONTROL = round_of(effect_candidate(BeamDrift()), checked(2.0), checked(1.2))
-WHY: list[tuple[str, dict[str, Any], bool, str | None]] = [
-    ("calibrated and at the noise", {"chi2": 1.0, "consistent": True}, False, None),
-    ("not calibrated", {"chi2": 4.0}, False, "not calibrated: what is left is more than they expect (predictive"),
-    ("calibrated, but for one antenna", {"chi2": 1.0, "stands_out": "gains, antenna 24 (4.8 sigma)"}, False,
-     "calibrated as a whole (predictive chi^2 1), but what is left is not noise alone: it stands out in gains, ant"),
-    ("calibrated as they are wide", {"chi2": 1.0, "consistent": True, "rms": 3.0}, False,
-     "calibrated, but only as they are wide: the held-out residual has 3 Jy rms, where the noise has 1 Jy"),
-    ("calibrated, and as wide as data leave the beam", {"chi2": 1.0, "consistent": True, "rms": 3.0, "expected": 3.0},
-     False, None),
-    ("a control model", {"chi2": 1.0, "consistent": True}, True, "a beam that changes in time would explain more"),
-    ("what is left out is of unknown origin", {"chi2": 1.0, "consistent": True, "fitted": WITHOUT_BASELINES}, False,
-     "the data that carry something unknown are left out, and of all others nothing significant is left"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("given", "control", "words"), [case[1:] for case in WHY], ids=ids(WHY))
-def test_why_data_stay_unexplained(given: dict[str, Any], control: bool, words: str | None) -> None:
-    why = why_unexplained(checked(**given), CONTROL if control else None, 0)
-    assert why is None if words is None else words in str(why)
-
-
-def test_what_a_job_leaves_out_itself_is_no_reason() -> None:
-    last = checked(1.0, consistent=True, fitted=WITHOUT_BASELINES)
-    assert why_unexplained(last, None, 1) is None
-    assert verdict_of(last, None, 0, True) == "unexplained"
-    assert verdict_of(last, None, 1, True) == "explained"
 
 
 def test_what_explains_as_much_is_named() -> None:
