@@ -31,6 +31,13 @@ LEAST_GAIN = 0.1
 State = dict[int, Evidence]
 """A set of effects by number: the evidence that each had beside the others when it was last weighed, with its prior."""
 
+Key = frozenset[tuple[int, int]]
+
+
+def _of_objects(state: State) -> Key:
+    """Tell a set by its objects, to which moves come back, and which stay alive as long as what was found of it."""
+    return frozenset((i, id(one)) for i, one in state.items())
+
 
 def _nothing(found: Evidence) -> BoolArray:
     return np.zeros(found.prior_var.shape, dtype=bool)
@@ -79,7 +86,8 @@ class JointLikelihood:
     model: Others
     competitors: Sequence[Competitor]
     alone: State = field(default_factory=dict)
-    _weighed: dict[frozenset[tuple[int, int]], tuple[State, State]] = field(default_factory=dict)
+    _weighed: dict[Key, tuple[State, State]] = field(default_factory=dict)
+    _latest: list[tuple[tuple[Key, tuple[int, ...]], State, dict[int, list[Likelihood]]]] = field(default_factory=list)
 
     def weigh(self, state: State, numbers: Collection[int]) -> State:
         """Return the evidence for some competitors beside those of ``state``, each alone, with its best prior."""
@@ -111,9 +119,7 @@ class JointLikelihood:
 
     def _known(self, state: State) -> State:
         """Return what has been found beside those of ``state``, to which more is added."""
-        # Moves come back to the same sets, which are told by objects that stay alive as long as what was found.
-        key = frozenset((i, id(one)) for i, one in state.items())
-        return self._weighed.setdefault(key, (state, {} if state else dict(self.alone)))[1]
+        return self._weighed.setdefault(_of_objects(state), (state, {} if state else dict(self.alone)))[1]
 
     def _possible(self, number: int, blocks: Sequence[Likelihood]) -> Evidence:
         one = self.competitors[number]
@@ -137,11 +143,18 @@ class JointLikelihood:
         return sum(one.most_gain() for one in self.by_channel)
 
     def _each_beside(self, state: State, numbers: Collection[int]) -> dict[int, list[Likelihood]]:
-        """Return the likelihood of each of some competitors, with those of a set marginalised."""
+        """Return the likelihood of each of some competitors, with those of a set marginalised.
+
+        One that is weighed again with the prior that it has has just been weighed, so that the last is kept.
+        """
+        key = _of_objects(state), tuple(numbers)
+        if self._latest and self._latest[0][0] == key:
+            return self._latest[0][2]
         found = dict[int, list[Likelihood]]()
         for shared in (False, True):
             of_sort = [i for i in numbers if self.competitors[i].shared is shared]
             found |= zip(of_sort, self._beside(state, of_sort, shared), strict=True)
+        self._latest[:] = [(key, state, found)]
         return found
 
     def _beside(self, state: State, numbers: Sequence[int], shared: bool) -> list[list[Likelihood]]:
@@ -165,12 +178,13 @@ class JointLikelihood:
 
     def _others(self, model: Others, state: State) -> tuple[Others, np.ndarray]:
         """Return what is there of the model and a set, and where that is in a matrix that begins with this model."""
-        others, order = model, [np.arange(len(model.shared))]
-        for i, one in state.items():
-            used = np.flatnonzero(one.prior_var)
-            others = others.and_more(self.competitors[i].shared, one.prior_var[used])
-            order.append(self._span(model, i)[used])
-        return others, np.concatenate(order)
+        used = {i: np.flatnonzero(one.prior_var) for i, one in state.items()}
+        order = [np.arange(len(model.shared)), *(self._span(model, i)[own] for i, own in used.items())]
+        shared = [np.full(len(own), self.competitors[i].shared) for i, own in used.items()]
+        prior_var = [state[i].prior_var[own] for i, own in used.items()]
+        none = np.zeros(0)
+        more = np.concatenate([none.astype(bool), *shared]), np.concatenate([none, *prior_var])
+        return model.and_more(*more), np.concatenate(order)
 
     def _span(self, model: Others, number: int) -> np.ndarray:
         start = len(model.shared) + sum(len(one.parameters) for one in self.competitors[:number])
@@ -355,5 +369,9 @@ def _without(state: State, number: int) -> State:
 
 def _part(one: Likelihood, which: np.ndarray) -> Likelihood:
     """Return the likelihood of some of the unknowns, with the others at zero."""
-    square = np.ix_(which, which)
-    return replace(one, information=one.information[square], score=one.score[which], signal=one.signal[square])
+
+    def some(matrix: FloatArray) -> FloatArray:
+        """Take rows and then columns, which is twice as fast as both at once."""
+        return matrix.take(which, 0).take(which, 1)
+
+    return replace(one, information=some(one.information), score=one.score[which], signal=some(one.signal))

@@ -47,11 +47,11 @@ class Others:
             score.append(values.prior_score(f) - held @ values.x[f] if values.active else values.prior_score(f))
         return cls(values.shared, tuple(precision), tuple(score))
 
-    def and_more(self, shared: bool, prior_var: FloatArray) -> Others:
-        """Return these and more after them, independent and around zero; ``prior_var`` is (n,), all above zero."""
+    def and_more(self, shared: BoolArray, prior_var: FloatArray) -> Others:
+        """Return these and more after them, independent and around zero, both (n,); all variances are above zero."""
         n = len(prior_var)
         return Others(
-            np.append(self.shared, np.full(n, shared)),
+            np.append(self.shared, shared),
             tuple(block_diag(one, np.diag(1 / prior_var)) for one in self.precision),
             tuple(np.append(one, np.zeros(n)) for one in self.score),
         )

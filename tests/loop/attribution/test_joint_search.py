@@ -178,7 +178,7 @@ def test_best_values_of_own_and_shared_unknowns_solve_the_equations_of_all_chann
     matrices = [draw(N_DATA, 3, seed=seed) for seed in (12, 13)]
     data = [draw(N_DATA, seed=seed) for seed in (14, 15)]
     by_channel = [Likelihood(one.T @ one, one.T @ d, one.T @ one) for one, d in zip(matrices, data, strict=True)]
-    others = NOTHING.and_more(True, np.array([0.3])).and_more(False, np.array([2.0, 0.1]))
+    others = NOTHING.and_more(np.array([True, False, False]), np.array([0.3, 2.0, 0.1]))
     found = np.array(others.best(by_channel))
     whole = np.zeros((2 * N_DATA, 5))
     for channel, one in enumerate(matrices):
@@ -207,7 +207,10 @@ def test_the_model_that_is_taken_out_once_is_as_beside_each_set(n_freqs: int) ->
         others, order = model, [*range(5)]
         if in_set:
             used = np.flatnonzero(state[0].prior_var)
-            others, order = model.and_more(True, state[0].prior_var[used]), [*range(5), *(5 + used).tolist()]
+            others, order = (
+                model.and_more(np.full(len(used), True), state[0].prior_var[used]),
+                [*range(5), *(5 + used).tolist()],
+            )
         which = np.array([*order, 7, 8] if number else [*order, 5, 6])
         square = np.ix_(which, which)
         whole = [Likelihood(one.information[square], one.score[which], one.signal[square]) for one in by_channel]
