@@ -60,7 +60,7 @@ def exchange(
         if found.place is None:
             continue
         is_asked = not all(one.revoked for one in rounds[number + 1 :]) and _is_mostly_explained(context, found, last)
-        near = _near(found, effects) if is_asked else []
+        near = _near(found, last, effects) if is_asked else []
         better = _better_than(context, last, found, near, tried, only_more) if near else None
         if better is not None:
             return better, places_without(found.place, len(last.fitted.values.active))
@@ -73,7 +73,7 @@ def _is_mostly_explained(context: FitContext, found: Round, last: Checked) -> bo
     return then - now > now - context.setup.observation.Nfreqs
 
 
-def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
+def _near(found: Round, last: Checked, effects: Sequence[Effect]) -> list[Effect]:
     """Return the effects that came near one when it was chosen.
 
     Laws in time of a constant effect are no rivals of it: they are looked for beside it, in every round.
@@ -84,8 +84,8 @@ def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
     least = RULES.near_if_linear * chosen.log_bayes_factor
     names = {one.name for one in found.ranking if one.finding is not None and one.log_bayes_factor > least}
     names -= {one for one in names if one == own.name or (one[0] == own.kind and own.law == Effect.law)}
-    # What explains the data together with it was weighed beside it.
-    names -= {one.name for one in found.together}
+    # What explains the data together with it was weighed beside it, if it was added as well.
+    names -= {one.name for one in found.together} & {(one.kind, one.effect.law) for one in last.fitted.values.active}
     return [one for one in effects if (one.kind, one.law) in names]
 
 
@@ -113,7 +113,7 @@ def _better_than(
     without = check(context, solved_at(context, last.fitted.values.without(found.place), last.fitted))
     risen = rise(context, without.fitted, last.fitted) - own.linear_gain
     now = replace(Candidate.of(Finding(active[found.place].effect, own)), log_bayes_factor=own.log_bayes_factor + risen)
-    present = replace(found, candidate=now, before=without, after=last)
+    present = replace(found, candidate=now, before=without, after=last, together=())
     ranking = [replace(one, log_bayes_factor=one.log_bayes_factor + risen) for one in rivals]
     best = try_effects(context, without, ranking, tried, present)
     if best is None or best is present:

@@ -18,7 +18,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
-from hydrabeam_mpi.loop.selection.acceptance import Round
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
 from hydrabeam_mpi.loop.selection.exchange import exchange, in_place_of
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -70,6 +70,21 @@ def test_one_gain_in_the_place_of_the_factors_of_all_its_baselines(context: FitC
     assert added.before is last
     assert added.after.score.log_density > last.score.log_density - 5
     assert added.revised[0].startswith("closure errors: taken back")
+
+
+def test_what_was_of_a_set_with_it_is_asked_unless_it_is_there(context: FitContext) -> None:
+    """A set that leaves more than noise is not fitted: of it the effect may have been added alone."""
+    so_far = rounds(context, factors(context), GAINS, COUPLING)
+    of_set = tuple(effect_candidate(one) for one in (factors(context), GAINS))
+    so_far = [replace(so_far[0], together=of_set), *so_far[1:]]
+    found = exchange(context, so_far[-1].after, so_far, [GAINS, COUPLING], [])
+    assert found is not None
+    assert [one.kind for one in found[0].after.fitted.values.active] == ["cross_coupling", "antenna_gains"]
+    present = rounds(context, factors(context), GAINS, GAINS)
+    present = [replace(present[0], together=of_set), *present[1:]]
+    tried: list[tuple[Candidate, str]] = []
+    assert exchange(context, present[-1].after, present, [GAINS], tried) is None
+    assert tried == []
 
 
 def test_it_is_asked_where_no_more_effects_may_be_added(tmp_path: Path) -> None:
