@@ -62,6 +62,11 @@ class Left(NamedTuple):
     chi2: float
     free: float
 
+    @property
+    def above_noise(self) -> float:
+        """By how much ln likelihood may still rise."""
+        return max(self.chi2 - self.free, 0.0)
+
     def over_noise(self, chi2_drop: float = 0.0) -> float:
         """Return the variance of what is left over that of the noise, at least one.
 

@@ -242,7 +242,7 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     reached = best.candidate.of_fitted
     if not is_near(candidate, reached):
         return False
-    if not enough or best.candidate.is_of_bad_rows or _complexity(candidate) < _complexity(best.candidate):
+    if not enough or best.candidate.is_of_bad_rows or complexity(candidate) < complexity(best.candidate):
         return True
     if candidate.log_bayes_factor > reached:
         return True
@@ -278,7 +278,8 @@ def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: f
     return most - price > least
 
 
-def _complexity(candidate: Candidate) -> float:
+def complexity(candidate: Candidate) -> float:
+    """Return how many parameters of an effect the data tell; none of a change of the weights."""
     return candidate.finding.evidence.effective_parameters if candidate.finding else 0.0
 
 

@@ -64,8 +64,14 @@ def try_effects(
             say(f"    refused: {why}", context.grid.is_world_root)
             tried.append((candidate, str(why)))
             continue
-        if best is not None and not is_better(fitted, after, best):
-            continue
+        leads = outlook is not None and outlook.leads
+        if best is not None and (leads or not is_better(fitted, after, best)):
+            if outlook is None or not outlook.leads_further(fitted, after, best):
+                continue
+            title = best.candidate.title
+            say(
+                f"    with what others explain beside it, it comes to more than {title} can", context.grid.is_world_root
+            )
         reason = refusal_of_fit(context, checked, after, fitted)
         reason = reason or least_beside(context, after.fitted, {-1: rivals_of(fitted, ranking, settings)})[-1].refusal
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)

@@ -9,12 +9,13 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.effects.shared.time_laws import Piecewise
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import left_of
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings, looked_for_again
 from hydrabeam_mpi.loop.attribution.weigh_together import TogetherFound, weigh_together
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, complexity, is_near
 from hydrabeam_mpi.mpi import bcast_object, together
 
 ABRUPT = (Piecewise.name,)
@@ -91,6 +92,12 @@ class Weighed:
     simpler: tuple[Together, ...] = ()
     with_drift: Together = field(default_factory=Together)
 
+    @property
+    def most_of_effects(self) -> float:
+        """The log Bayes factor of the set, or of the effect that has the most by itself where that is more."""
+        effects = (one for one in self.ranking if one.finding is not None and not one.is_control)
+        return max(self.together.log_bayes_factor, *(one.log_bayes_factor for one in effects), 0.0)
+
 
 @dataclass
 class Outlook:
@@ -105,7 +112,9 @@ class Outlook:
         Effects that may still be added.
     weighed : Weighed
     ahead : (Fitted, Weighed), optional
-        After the first that was confirmed, if that was looked at.
+        After the first that was confirmed, if that was looked at; or after what leads further than that.
+    leads : bool
+        Whether that leads further than all that explain more by themselves; see `leads_further`.
     """
 
     context: FitContext
@@ -114,10 +123,11 @@ class Outlook:
     most: int
     weighed: Weighed
     ahead: tuple[Fitted, Weighed] | None = None
+    leads: bool = False
 
     def explains_rest(self, best: Round) -> bool:
-        """Whether further effects explain what the best leaves. Collective: all ranks of the grid."""
-        return self._beside(best).explains
+        """Whether further effects explain what the best leaves, or enough of it. Collective: all ranks of the grid."""
+        return self.leads or self._beside(best).explains
 
     def with_rest(self, best: Round) -> Round | None:
         """Return the best and what explains what it leaves as one round; None where nothing does.
@@ -125,13 +135,31 @@ class Outlook:
         Of all these it is known what they come to, as far as the model is linear. Collective: all ranks of the grid.
         """
         weighed, finding = self._beside(best), best.candidate.finding
-        if not weighed.explains:
+        if not (weighed.explains or self.leads):
             return None
-        total = best.candidate.log_bayes_factor + weighed.together.log_bayes_factor
+        total = best.candidate.log_bayes_factor + weighed.most_of_effects
         if finding is not None:
             n_parameters = finding.evidence.effective_parameters + weighed.together.n_parameters
             finding = replace(finding, evidence=replace(finding.evidence, effective_parameters=n_parameters))
         return replace(best, candidate=replace(best.candidate, log_bayes_factor=total, finding=finding))
+
+    def leads_further(self, candidate: Candidate, after: Checked, best: Round) -> bool:
+        """Whether a simpler effect has more evidence, with what explains most beside it, than the best can come to.
+
+        Alone it may explain less than what has many more parameters, which take up a part of all that is missing. No
+        effects beside that gain more than what it leaves above the noise. Collective: all ranks of the grid.
+        """
+        reached = best.candidate.of_fitted
+        if complexity(candidate) >= complexity(best.candidate) or not is_near(candidate, reached):
+            return False
+        needed = reached + left_of(self.context, best.after.fitted).above_noise - candidate.of_fitted
+        if left_of(self.context, after.fitted).above_noise <= needed:
+            return False
+        weighed = self._weigh_beside(after.fitted, 1)
+        if weighed.most_of_effects <= needed:
+            return False
+        self.ahead, self.leads = (after.fitted, weighed), True
+        return True
 
     def beside(self, best: Round, candidate: Candidate) -> float:
         """Return the log Bayes factor that a candidate has beside the best. Collective: all ranks of the grid."""
@@ -145,11 +173,13 @@ class Outlook:
         """
         fitted = best.after.fitted
         if self.ahead is None:
-            effects = next_of(self.context, self.effects, fitted.values)
-            most = self.most - max(len(best.together), 1)
-            self.ahead = fitted, weigh(self.context, fitted, effects, self.changes, most)
+            self.ahead = fitted, self._weigh_beside(fitted, max(len(best.together), 1))
         at, weighed = self.ahead
         return weighed if at is fitted else Weighed(())
+
+    def _weigh_beside(self, fitted: Fitted, n_added: int) -> Weighed:
+        effects = next_of(self.context, self.effects, fitted.values)
+        return weigh(self.context, fitted, effects, self.changes, self.most - n_added)
 
     def after(self, fitted: Fitted) -> Weighed | None:
         """Return what there is to try with what has been fitted, if that is known."""

@@ -18,6 +18,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.attribution import columns_that_matter
 from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.trials import may_be_tried, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
@@ -154,3 +155,42 @@ def test_what_is_linear_has_to_come_to_more_than_the_best_with_what_is_beside_it
         other = replace(closure, finding=many, log_bayes_factor=first + part * second)
         assert may_be_tried(other, best, outlook) is is_tried
         assert may_be_tried(other, best, None)
+
+
+def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best_can_come_to(
+    context: FitContext, weighed: Weighed
+) -> None:
+    """What has many parameters may explain a gain and a coupling, and so come before either of them."""
+    checked = check(context, refit(context, Values()))
+    gains, coupling = weighed.together.members
+    simpler = try_effects(context, checked, [gains], [])
+    assert simpler is not None
+    both = try_effects(context, simpler.after, [coupling], [])
+    assert both is not None
+    first, second = simpler.candidate.log_bayes_factor, both.candidate.log_bayes_factor
+    assert gains.finding is not None
+
+    def of_both(less: float, n_parameters: float = 40.0) -> Round:
+        """With so much less evidence than a gain and a coupling one after the other."""
+        assert gains.finding is not None
+        evidence = replace(gains.finding.evidence, effective_parameters=n_parameters)
+        candidate = replace(gains, finding=replace(gains.finding, evidence=evidence))
+        return replace(both, candidate=replace(candidate, log_bayes_factor=first + second - less))
+
+    given = simpler.candidate, simpler.after
+    outlook = Outlook(context, EFFECTS, [], 6, weighed)
+    assert outlook.leads_further(*given, of_both(60.0))
+    assert outlook.leads
+    assert outlook.explains_rest(simpler)
+    with_rest = outlook.with_rest(simpler)
+    assert with_rest is not None
+    assert with_rest.candidate.log_bayes_factor == pytest.approx(first + second, abs=10.0)
+    # Nothing stands in for the coupling; what explains both has as much evidence; or fewer parameters.
+    for effects, best in (
+        (EFFECTS[:1], of_both(60.0)),
+        (EFFECTS, of_both(-20.0)),
+        (EFFECTS, of_both(60.0, n_parameters=1.0)),
+    ):
+        outlook = Outlook(context, effects, [], 6, weighed)
+        assert not outlook.leads_further(*given, best)
+        assert not outlook.leads
