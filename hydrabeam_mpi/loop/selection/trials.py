@@ -64,14 +64,13 @@ def try_effects(
             say(f"    refused: {why}", context.grid.is_world_root)
             tried.append((candidate, str(why)))
             continue
-        leads = outlook is not None and outlook.leads
-        if best is not None and (leads or not is_better(fitted, after, best)):
-            if outlook is None or not outlook.leads_further(fitted, after, best):
+        beside = None
+        if best is not None and ((outlook and outlook.leads) or not is_better(fitted, after, best)):
+            beside = outlook.leads_further(fitted, after, best) if outlook else None
+            if beside is None:
                 continue
-            title = best.candidate.title
-            say(
-                f"    with what others explain beside it, it comes to more than {title} can", context.grid.is_world_root
-            )
+            told = f"    with another beside it, it comes to more than {best.candidate.title} can with any"
+            say(told, context.grid.is_world_root)
         reason = refusal_of_fit(context, checked, after, fitted)
         reason = reason or least_beside(context, after.fitted, {-1: rivals_of(fitted, ranking, settings)})[-1].refusal
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
@@ -79,6 +78,8 @@ def try_effects(
             tried.append((fitted, reason))
         else:
             best = round_of(context, checked, after, fitted, ranking)
+            if outlook and beside:
+                outlook.follow(best, beside)
             # Once it is the model this is asked for again.
             hold_prediction(context, after.fitted)
     return best

@@ -143,23 +143,25 @@ class Outlook:
             finding = replace(finding, evidence=replace(finding.evidence, effective_parameters=n_parameters))
         return replace(best, candidate=replace(best.candidate, log_bayes_factor=total, finding=finding))
 
-    def leads_further(self, candidate: Candidate, after: Checked, best: Round) -> bool:
-        """Whether a simpler effect has more evidence, with what explains most beside it, than the best can come to.
+    def leads_further(self, candidate: Candidate, after: Checked, best: Round) -> Weighed | None:
+        """Return what there is to try beside a simpler effect if it leads further than the best; None if not.
 
-        Alone it may explain less than what has many more parameters, which take up a part of all that is missing. No
-        effects beside that gain more than what it leaves above the noise. Collective: all ranks of the grid.
+        It does if it has more evidence, with what explains most beside it, than the best can come to: no effects gain
+        more beside that than what it leaves above the noise. Alone it may explain less than what has many more
+        parameters, which take up a part of all that is missing. Collective: all ranks of the grid.
         """
         reached = best.candidate.of_fitted
         if complexity(candidate) >= complexity(best.candidate) or not is_near(candidate, reached):
-            return False
+            return None
         needed = reached + left_of(self.context, best.after.fitted).above_noise - candidate.of_fitted
         if left_of(self.context, after.fitted).above_noise <= needed:
-            return False
+            return None
         weighed = self._weigh_beside(after.fitted, 1)
-        if weighed.most_of_effects <= needed:
-            return False
-        self.ahead, self.leads = (after.fitted, weighed), True
-        return True
+        return weighed if weighed.most_of_effects > needed else None
+
+    def follow(self, best: Round, beside: Weighed) -> None:
+        """Go on with the best, which leads further than all others, and with what there is to try beside it."""
+        self.ahead, self.leads = (best.after.fitted, beside), True
 
     def beside(self, best: Round, candidate: Candidate) -> float:
         """Return the log Bayes factor that a candidate has beside the best. Collective: all ranks of the grid."""

@@ -179,9 +179,13 @@ def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best
 
     given = simpler.candidate, simpler.after
     outlook = Outlook(context, EFFECTS, [], 6, weighed)
-    assert outlook.leads_further(*given, of_both(60.0))
+    beside = outlook.leads_further(*given, of_both(60.0))
+    assert beside is not None
+    assert not outlook.leads
+    outlook.follow(simpler, beside)
     assert outlook.leads
     assert outlook.explains_rest(simpler)
+    assert outlook.after(simpler.after.fitted) is beside
     with_rest = outlook.with_rest(simpler)
     assert with_rest is not None
     assert with_rest.candidate.log_bayes_factor == pytest.approx(first + second, abs=10.0)
@@ -191,6 +195,4 @@ def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best
         (EFFECTS, of_both(-20.0)),
         (EFFECTS, of_both(60.0, n_parameters=1.0)),
     ):
-        outlook = Outlook(context, effects, [], 6, weighed)
-        assert not outlook.leads_further(*given, best)
-        assert not outlook.leads
+        assert Outlook(context, effects, [], 6, weighed).leads_further(*given, best) is None
