@@ -26,13 +26,7 @@ from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
-from hydrabeam_mpi.loop.attribution.few_elements import (
-    TAUS,
-    Scaled,
-    each_alone,
-    few_elements,
-    log_bayes_factors,
-)
+from hydrabeam_mpi.loop.attribution.few_elements import TAUS, Scaled, each_alone, few_elements, log_bayes_factors
 from hydrabeam_mpi.loop.attribution.price import price_of, price_of_sorts, rarity, sets_of, without_sorts
 
 

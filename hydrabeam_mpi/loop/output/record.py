@@ -95,12 +95,14 @@ def make_record(
         "residual": history.last.remains.statistics,
         "structures": claimed.remains.structures if is_left else None,
     }
-    return {key: _finite(value) for key, value in (record | _said(context, record, odd)).items()}
+    return {key: _finite(value) for key, value in (record | _said(context, record, kept, odd)).items()}
 
 
-def _said(context: FitContext, record: dict[str, Any], odd: Sequence[Finding]) -> dict[str, Any]:
-    """Return what is said of a record in words: what is claimed first, and what was taken back since last."""
-    sentence, kept = say_verdict(record), still_there(record["rounds"])
+def _said(
+    context: FitContext, record: dict[str, Any], kept: Sequence[dict[str, Any]], odd: Sequence[Finding]
+) -> dict[str, Any]:
+    """Return what is said of a record in words: what is claimed (``kept``) first, what was taken back since last."""
+    sentence = say_verdict(record)
     gone = [one for one in record["rounds"] if one not in kept]
     of_odd = [one.line for one in odd]
     # `summary.json` has these first; of a loop that ends, ``loop.json`` has all that are in that.

@@ -151,7 +151,9 @@ class Outlook:
         parameters, which take up a part of all that is missing. Collective: all ranks of the grid.
         """
         reached = best.candidate.of_fitted
-        if complexity(candidate) >= complexity(best.candidate) or not is_near(candidate, reached):
+        if candidate.finding is None or complexity(candidate) >= complexity(best.candidate):
+            return None
+        if not is_near(candidate, reached):
             return None
         needed = reached + left_of(self.context, best.after.fitted).above_noise - candidate.of_fitted
         if left_of(self.context, after.fitted).above_noise <= needed:

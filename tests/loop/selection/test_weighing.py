@@ -23,6 +23,7 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.trials import may_be_tried, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
 from hydrabeam_mpi.loop.selection.whole_set import try_set
+from tests.loop.made import weights_candidate
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005}}
@@ -196,3 +197,6 @@ def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best
         (EFFECTS, of_both(60.0, n_parameters=1.0)),
     ):
         assert Outlook(context, effects, [], 6, weighed).leads_further(*given, best) is None
+    # What leaves rows out explains nothing that others could go on from.
+    outlook = Outlook(context, EFFECTS, [], 6, weighed)
+    assert outlook.leads_further(weights_candidate(), simpler.after, of_both(60.0)) is None
