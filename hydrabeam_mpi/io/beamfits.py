@@ -21,9 +21,10 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam, usable_uvbeam
 from hydrabeam_mpi.io.feeds import UNKNOWN, orientation_from_field, pol_number, x_orientation
 from hydrabeam_mpi.io.reading import reading
+from hydrabeam_mpi.model.bases.healpix_map import HealpixMap
 from hydrabeam_mpi.model.bases.rings import SAME_ANGLE, Pixels
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
-from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
+from hydrabeam_mpi.model.interpolate import AzZaGrid
 from hydrabeam_mpi.words import in_ascii
 
 SAME_FREQ = 5e-4

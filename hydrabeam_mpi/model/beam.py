@@ -17,9 +17,10 @@ from pyuvdata.utils import polnum2str, polstr2num
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.healpix_map import HealpixMap
 from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.bases.rings import Pixels
-from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
+from hydrabeam_mpi.model.interpolate import AzZaGrid
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection, has_part
+from hydrabeam_mpi.model.bases.healpix_map import HealpixMap
 from hydrabeam_mpi.model.bases.rest import Rest, rest_nodes
 from hydrabeam_mpi.model.bases.ring_fit import RCOND
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
@@ -136,7 +137,8 @@ def _with_rest(chosen: LinearBasis, beam: Evaluable, pixels: Pixels) -> LinearBa
     some = slice(None, None, max(1, len(left.za) // _POINTS_AT_ONCE))
     size = float(np.sqrt(np.mean(np.abs(chosen.evaluate(left.za[some], left.az[some])) ** 2)))
     scale = size / float(np.sqrt(np.mean(left.values**2)))
-    return WithRest(chosen, scale * _left_of(_at_nodes(beam), chosen, coeffs).values)
+    left = _left_of(_at_nodes(beam), chosen, coeffs)
+    return WithRest(chosen, Rest(scale * left.values, _samples_of(beam, scale)))
 
 
 def rest_of(beam: Evaluable, basis: LinearBasis, coeffs: Array) -> Rest | None:
@@ -148,7 +150,13 @@ def rest_of(beam: Evaluable, basis: LinearBasis, coeffs: Array) -> Rest | None:
     left = _left_of(nodes, basis, coeffs).values
     if np.iscomplexobj(left) or np.abs(left).max() <= NEGLIGIBLE * np.abs(nodes.values).max():
         return None
-    return Rest(left)
+    return Rest(left, _samples_of(beam, 1.0))
+
+
+def _samples_of(beam: Evaluable, scale: float) -> HealpixMap | None:
+    """Return a multiple of the HEALPix map that a beam is interpolated from; None where it is from none."""
+    samples = getattr(beam, "interpolate", None)
+    return samples.times(scale) if isinstance(samples, HealpixMap) else None
 
 
 def _at_nodes(beam: Evaluable) -> Pixels:

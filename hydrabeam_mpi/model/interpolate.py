@@ -1,13 +1,11 @@
-"""Interpolation of beam samples on the two grids in use."""
+"""Interpolation of beam samples on a grid of azimuths and zenith angles."""
 
 from __future__ import annotations
 
 import numpy as np
-from astropy import units
-from astropy_healpix import HEALPix
 from scipy.interpolate import RectBivariateSpline
 
-from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
 from hydrabeam_mpi.errors import InputError
 
 # Samples repeated on either side of the circle, so that a cubic spline does not notice where it is cut.
@@ -57,36 +55,3 @@ class AzZaGrid:
         within = self._az_start + np.mod(az - self._az_start, 2 * np.pi)
         parts = [spline.ev(za, within) for spline in self._parts]
         return parts[0] if len(parts) == 1 else parts[0] + 1j * parts[1]
-
-
-class HealpixMap:
-    """Bilinear interpolation on a HEALPix map with azimuth as longitude and 90 degrees - za as latitude.
-
-    Parameters
-    ----------
-    nside : int
-    ordering : {"ring", "nested"}
-    pixels : ndarray of int, (Npix,)
-        Numbers of the pixels that are sampled; the others are missing.
-    values : ndarray of float or complex, (Npix,)
-
-    Raises
-    ------
-    InputError
-        On evaluation: if a sample that is needed is missing or NaN.
-    """
-
-    def __init__(self, nside: int, ordering: str, pixels: IntArray, values: Array) -> None:
-        self._healpix = HEALPix(nside, ordering)
-        self._values = np.full(self._healpix.npix, np.nan, dtype=values.dtype)
-        self._values[pixels] = values
-
-    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
-        """Interpolate at (za, az), (Npoints,) each."""
-        longitude, latitude = np.mod(az, 2 * np.pi) * units.rad, (np.pi / 2 - za) * units.rad
-        around, weights = self._healpix.bilinear_interpolation_weights(longitude, latitude)
-        # A neighbour without weight may be missing.
-        samples = np.where(weights > 0, self._values[around], 0)
-        if np.isnan(samples).any():
-            raise InputError("samples that are NaN or missing cannot be interpolated", remedy=_REMEDY)
-        return np.einsum("ij,ij->j", weights, samples)

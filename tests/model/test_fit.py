@@ -6,7 +6,7 @@ from astropy_healpix import HEALPix
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel, radial_zeros
-from hydrabeam_mpi.model.bases.rest import rest_nodes
+from hydrabeam_mpi.model.bases.rest import Rest, rest_nodes
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
 from hydrabeam_mpi.model.bases.with_rest import WithRest
 from hydrabeam_mpi.model.bases.zernike import Zernike
@@ -115,7 +115,7 @@ def test_rings_and_points_give_the_same_least_squares_solution(form):
 def test_several_beams_at_once_are_fitted_as_each_by_itself(grid, kind):
     basis = FourierBessel.full(9, 2, form="complex" if kind == "complex" else "real")
     if kind == "with what is left":
-        basis = WithRest(basis, np.cos(7 * rest_nodes()[0]))
+        basis = WithRest(basis, Rest(np.cos(7 * rest_nodes()[0])))
     za, az = GRIDS[grid]
     values = np.exp(-3 * za) * np.array([np.cos(az), np.sin(5 * za), np.ones_like(za)])
     if kind == "complex":

@@ -1,4 +1,8 @@
-"""One function that is given by its values: all that a model beam has beyond others."""
+"""One function that is given by its values: all that a model beam has beyond others.
+
+Between its nodes it is smooth. A model beam that is interpolated between the pixels of a HEALPix map is not: it bends
+at every line between their centres, which a table cannot follow. Of such a beam the map itself is kept as well.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.healpix_map import HealpixMap
 from hydrabeam_mpi.model.bases.polar_table import HORIZON, PolarTable, radii
 
 PER_UNIT, N_AZ = 320, 720
@@ -36,25 +41,34 @@ class Rest(LinearBasis):
     ----------
     values : ndarray, (Nnodes,)
         Kept in single precision.
+    samples : HealpixMap, optional
+        What it has of the map that the model beam is interpolated from, `HealpixMap.times` a factor: all of it that is
+        not smooth.
     """
 
     title: ClassVar[str] = "rest"
     n_modes = n_columns = 1
     is_complex = False
 
-    def __init__(self, values: Array) -> None:
-        self.values = np.asarray(values, dtype=np.float32)
+    def __init__(self, values: Array, samples: HealpixMap | None = None) -> None:
+        self.values, self.samples = np.asarray(values, dtype=np.float32), samples
         self._at_nodes: dict[tuple[int, int], FloatArray] = {}
         """Of the tables that were asked for, which is one of each basis that it is beside."""
 
     @cached_property
     def _table(self) -> PolarTable:
-        """Of the function, made once."""
-        return PolarTable(self.values.reshape(-1, N_AZ).astype(float), PER_UNIT)
+        """Of the function less its map, made once."""
+        values = self.values.astype(float)
+        if self.samples is not None:
+            values -= self.samples(*rest_nodes())
+        return PolarTable(values.reshape(-1, N_AZ), PER_UNIT)
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Evaluate the function, (1, Npoints); see :meth:`LinearBasis.columns`."""
-        values = self._table(np.minimum(za, np.pi / 2), np.asarray(az) % (2 * np.pi))
+        above, around = np.minimum(za, np.pi / 2), np.asarray(az) % (2 * np.pi)
+        values = self._table(above, around)
+        if self.samples is not None:
+            values = values + self.samples(above, around)
         if out is None:
             return values[np.newaxis]
         out[0] = values
@@ -76,8 +90,9 @@ class Rest(LinearBasis):
         return {**{name: value for name, value in vars(self).items() if name != "_table"}, "_at_nodes": {}}
 
     def describe(self) -> dict[str, Any]:
-        """Return kind and the values at the nodes, single precision in base 64."""
-        return {"kind": "rest", "values": base64.b64encode(self.values.astype("<f4").tobytes()).decode()}
+        """Return kind, the values at the nodes, single precision in base 64, and the map, where there is one."""
+        described = {"kind": "rest", "values": base64.b64encode(self.values.astype("<f4").tobytes()).decode()}
+        return described if self.samples is None else {**described, "samples": self.samples.describe()}
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> LinearBasis:
@@ -90,4 +105,5 @@ class Rest(LinearBasis):
         values = np.frombuffer(base64.b64decode(description["values"], validate=True), "<f4")
         if len(values) != len(rest_nodes()[0]) or not np.isfinite(values).all():
             raise ValueError("not one number for each node")
-        return cls(values)
+        samples = description.get("samples")
+        return cls(values, None if samples is None else HealpixMap.from_description(samples))

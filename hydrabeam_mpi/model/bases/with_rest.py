@@ -18,19 +18,18 @@ from hydrabeam_mpi.model.bases.rest import N_AZ, PER_UNIT, Rest
 
 
 class WithRest(LinearBasis):
-    """The functions of a real or complex basis, and after them a real one that is given at `rest_nodes`.
+    """The functions of a real or complex basis, and after them a real one.
 
     Parameters
     ----------
     basis : LinearBasis
-    values : ndarray, (Nnodes,)
-        Of the last function; kept in single precision.
+    last : Rest
     """
 
     title: ClassVar[str] = "with rest"
 
-    def __init__(self, basis: LinearBasis, values: Array) -> None:
-        self.basis, self.last = basis, Rest(values)
+    def __init__(self, basis: LinearBasis, last: Rest) -> None:
+        self.basis, self.last = basis, last
         self.n_modes, self.n_columns = basis.n_modes + 1, basis.n_columns + 1
         self.is_complex = basis.is_complex
 
@@ -92,7 +91,7 @@ class WithRest(LinearBasis):
         return self.basis.at_nodes(coeffs[:-1], per_unit, n_az) + self.last.at_nodes(coeffs[-1:], per_unit, n_az)
 
     def describe(self) -> dict[str, Any]:
-        """Return kind, the description of the basis, and the values at the nodes, single precision in base 64."""
+        """Return kind, the description of the basis, and what describes the rest."""
         return {**self.last.describe(), "kind": "with_rest", "parts": [self.basis.describe()]}
 
     @classmethod
@@ -104,4 +103,4 @@ class WithRest(LinearBasis):
     def from_description(cls, description: Mapping[str, Any]) -> WithRest:
         """Restore it from a description in which the basis is restored already; ValueError where it is none."""
         (basis,) = description["parts"]
-        return cls(basis, Rest.from_description(description).values)
+        return cls(basis, Rest.from_description(description))

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from astropy_healpix import HEALPix
 
 from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.errors import InputError
@@ -11,6 +12,7 @@ from hydrabeam_mpi.model.bases import BASES as REGISTRY
 from hydrabeam_mpi.model.bases import JOB_NAMES, basis_from_description, basis_from_settings
 from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.healpix_map import HealpixMap
 from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.rest import Rest, rest_nodes
 from hydrabeam_mpi.model.bases.turned import Turned
@@ -47,6 +49,13 @@ def ripple(za, az):
     return np.sin(za) ** 2 * np.cos(2 * az) + np.cos(9 * za)
 
 
+def coarse_map():
+    """A HEALPix map of a few hundred pixels of the sky."""
+    longitude, latitude = HEALPix(8).healpix_to_lonlat(np.arange(768))
+    values = ripple(np.pi / 2 - latitude.rad, longitude.rad)
+    return HealpixMap(8, "ring", np.arange(768), values).times(0.5)
+
+
 BASES = {
     "real": FourierBessel.full(12, 7, form="real"),
     "complex": FourierBessel.full(12, 7, form="complex"),
@@ -64,9 +73,11 @@ BASES = {
     "turned": Turned(FourierBessel.full(7, 3, form="real"), 0.7),
     "turned, complex": Turned(scrambled("complex"), -np.pi / 2),
     "turned and joined": Joined([Turned(Zernike(3), 1.0), Turned(Zernike(4), 1.0)], [20, 0, 3]),
-    "with rest": WithRest(FourierBessel.full(7, 3, form="real"), ripple(*rest_nodes())),
-    "with rest, complex": WithRest(scrambled("complex"), ripple(*rest_nodes())),
+    "with rest": WithRest(FourierBessel.full(7, 3, form="real"), Rest(ripple(*rest_nodes()))),
+    "with rest, complex": WithRest(scrambled("complex"), Rest(ripple(*rest_nodes()))),
     "rest": Rest(ripple(*rest_nodes())),
+    "rest of a map": Rest(ripple(*rest_nodes()), coarse_map()),
+    "with rest of a map": WithRest(FourierBessel.full(7, 3, form="real"), Rest(ripple(*rest_nodes()), coarse_map())),
     "joined with a rest": Joined([FourierBessel.full(7, 3, form="real"), Rest(ripple(*rest_nodes()))]),
     "plugged in": Cosines(),
 }
@@ -236,6 +247,8 @@ ZERNIKE = {"kind": "zernike", "degree": 1, "edge": 1.6}
         ({"kind": "joined", "parts": [ZERNIKE], "kept": []}, "do not have"),
         ({"kind": "with_rest", "parts": [ZERNIKE], "values": "AAAA"}, "buffer size"),
         ({"kind": "with_rest", "parts": [ZERNIKE], "values": "AAAAAA=="}, "each node"),
+        (BASES["rest of a map"].describe() | {"samples": {"nside": 4, "ordering": "ring", "values": ""}}, "each pixel"),
+        (BASES["rest of a map"].describe() | {"samples": {"nside": 4, "ordering": "ring"}}, "values"),
         ({"kind": "joined", "parts": [3], "kept": [0]}, "incomplete"),
         ({"kind": "joined", "parts": [], "kept": [0]}, "do not have"),
     ],
