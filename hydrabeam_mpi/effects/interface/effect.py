@@ -96,6 +96,11 @@ class Cause(ABC):
     shared: bool = False
     """Whether all channels have the same parameters, through a law in frequency."""
 
+    @property
+    def special_case(self) -> tuple[str, str] | None:
+        """Kind and law of what this is where nothing changes in time; None where nothing does anyway."""
+        return None if self.law == Cause.law else (self.kind, Cause.law)
+
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Say why these data cannot show the effect, and which could; None where they can."""
         return None

@@ -158,6 +158,11 @@ def turning_columns(sources: Sources) -> FloatArray:
     return np.concatenate([beam, beam * sources.enu, sources.torque])
 
 
+def _exact_beam(sources: Sources) -> FloatArray:
+    """Return the beam, (1, Nsrc)."""
+    return sources.exact_beam[np.newaxis]
+
+
 def turning_rates(block: RowBlock, moments: ComplexArray) -> ComplexArray:
     """Return how visibilities change as the sky turns about east, north and up, Jy per radian.
 
@@ -209,11 +214,13 @@ class TurningSky(Effect):
             Jy per radian.
         """
         rotations = self.rotations(block, x)
-        moments = block.integral(self)
         turned = rotations.any(axis=1)
-        if turned.any():
-            moments = moments.copy()
-            moments[turned] = turned_sky(block, rotations).integrate(self.sky_columns)
+        after = turned_sky(block, rotations).integrate(self.sky_columns) if turned.any() else None
+        if after is None or not turned.all():
+            moments = block.integral(self).copy()
+            moments[turned] = 0.0 if after is None else after
+        else:
+            moments = after
         return turning_rates(block, moments)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
@@ -222,6 +229,7 @@ class TurningSky(Effect):
         turned = rotations.any(axis=1)
         change = np.zeros((len(block.times), len(block.groups)), dtype=complex)
         if turned.any():
-            after = turned_sky(block, rotations).integrate(lambda sources: sources.exact_beam[np.newaxis])
-            change[turned] = after[..., 0] - block.integral(self)[turned, :, 0]
+            at_turned = replace(block, times=block.times[turned])
+            seen = [one.integrate(_exact_beam)[..., 0] for one in (turned_sky(block, rotations), at_turned)]
+            change[turned] = seen[0] - seen[1]
         return block.spread(change)

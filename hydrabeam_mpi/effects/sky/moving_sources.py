@@ -63,6 +63,11 @@ class MovingSources(MissingSources):
         self.span = span
 
     @property
+    def special_case(self) -> tuple[str, str]:
+        """Sources that stay where they are."""
+        return MissingSources.kind, MissingSources.law
+
+    @property
     def scanned_as(self) -> ScannedEffect:
         """Sources that stay where they are."""
         return MissingSources()

@@ -83,6 +83,24 @@ def attribute(
     return result
 
 
+def weigh_as_they_are(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) -> list[Evidence]:
+    """Weigh effects with the elements that they have, and none else, in the order in which they are given.
+
+    Collective: all ranks of the grid.
+    """
+    with together(context.grid.world):
+        cached = CachedRowBlocks.of(context, fitted.estimate)
+    candidates = {
+        f"candidate {number}": CandidateBlock(effect, np.zeros(len(effect.parameters(context.setup))))
+        for number, effect in enumerate(effects)
+    }
+    by_name = likelihoods(context, fitted, cached, candidates)
+    told = None if by_name is None else list(by_name.values())
+    evidence = _weigh_all(context, fitted.values, effects, told, Limits.of(context, fitted))
+    result: list[Evidence] = bcast_object(context.grid.world, evidence)
+    return result
+
+
 def _in_all_channels(context: FitContext, effects: Sequence[Effect]) -> dict[int, Effect]:
     """Return the forms in which effects are the same in all channels, by their numbers; none with one channel."""
     if context.setup.observation.Nfreqs < 2:

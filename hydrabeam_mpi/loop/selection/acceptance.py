@@ -73,6 +73,11 @@ class Candidate:
         return self.kind, self.law
 
     @property
+    def special_case(self) -> tuple[str, str | None] | None:
+        """The name of what it is where nothing changes in time; see `Cause.special_case`."""
+        return self.finding.effect.special_case if self.finding is not None else None
+
+    @property
     def is_of_bad_rows(self) -> bool:
         """Whether it leaves out whole integrations or baselines that stand out, held-out ones too."""
         return self.weights is not None and self.weights.change.weighs_heldout
@@ -200,7 +205,8 @@ def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = N
     The ``first`` of those that explain the residual together is the first of the effects.
 
     A residual with structure is not noise, but a higher noise level seems to explain any residual. Linear effects that
-    come near the first go before others: their fits are short, and long ones of no use are then broken off. At most
+    come near the first go before others: their fits are short, and long ones of no use are then broken off. What stays
+    as it is goes before what changes in time where it comes near that, such as a source before one that moves. At most
     ``most`` effects are returned.
     """
     top = max((one.of_fitted for one in wanted), default=0.0)
@@ -220,7 +226,17 @@ def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = N
 
     tried = {id(one) for one in sorted(effects, key=lambda one: one is not first)[:most]}
     in_turn = sorted(wanted, key=lambda one: (place(one), -one.of_fitted))
-    return [one for one in in_turn if one.finding is None or id(one) in tried]
+    return _special_cases_first([one for one in in_turn if one.finding is None or id(one) in tried])
+
+
+def _special_cases_first(in_turn: Sequence[Candidate]) -> list[Candidate]:
+    """Put what is a special case of another, and comes near it as linear effects do, just before that."""
+    ordered: dict[int, Candidate] = {}
+    for one in in_turn:
+        least = RULES.near_if_linear * one.log_bayes_factor
+        case = [other for other in in_turn if other.name == one.special_case and other.log_bayes_factor >= least]
+        ordered |= {id(each): each for each in (*case, one)}
+    return list(ordered.values())
 
 
 def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:

@@ -11,7 +11,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
-from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, weigh_as_they_are
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.refits import both, fit_patiently, is_same_prior, log_joint, may_surpass, restarted
@@ -38,12 +38,28 @@ def fit_foremost(context: FitContext, before: Fitted, finding: Finding, worth: W
         best = _or_begun_at(context, before, best, started(context, finding, prior_var), worth)
     if best is None:
         return None
-    last = best.values.active[-1]
-    element = int(last.effect.parameters(context.setup).element[last.used[0]])
-    for effect in islice(last.effect.alike(context.setup, last.x, element), RULES.most_places):
-        start = Active.start(effect, context.setup, last.prior_var(context.setup), np.zeros_like(last.x))
+    for start in _elsewhere(context, before, best.values.active[-1]):
         best = _or_begun_at(context, before, best, start, worth)
     return best
+
+
+def _elsewhere(context: FitContext, before: Fitted, last: Active) -> list[Active]:
+    """Return where else the element that an effect has may be, such as in grating lobes, the likeliest place first.
+
+    Places follow from where it has been fitted, so that it is as good as linear there: those by far less likely than
+    the likeliest of them are left out.
+    """
+    element = int(last.effect.parameters(context.setup).element[last.used[0]])
+    places = list(islice(last.effect.alike(context.setup, last.x, element), RULES.most_places))
+    alone = []
+    for effect, evidence in zip(places, weigh_as_they_are(context, before, places) if places else (), strict=True):
+        alone.append(float(evidence.alone[effect.parameters(context.setup).element == element].max()))
+    prior_var, x = last.prior_var(context.setup), np.zeros_like(last.x)
+    return [
+        Active.start(places[number], context.setup, prior_var, x)
+        for number in np.argsort(-np.array(alone), kind="stable").tolist()
+        if alone[number] >= RULES.near_if_linear * max(alone)
+    ]
 
 
 def _or_begun_at(

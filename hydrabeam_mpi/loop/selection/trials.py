@@ -101,6 +101,9 @@ def may_be_tried(candidate: Candidate, best: Round, outlook: Outlook | None) -> 
     # Laws in time of a constant effect are no rivals of it: they are looked for beside it, in every round.
     if candidate.name in members or (candidate.kind, Effect.law) in members:
         return False
+    # Nor is what changes in time a rival of what stays as it is, if it does not promise more than that has come to.
+    if candidate.special_case == best.candidate.name and candidate.of_fitted <= best.candidate.of_fitted:
+        return False
     if outlook is None or leaves_nothing or not may_be_better(candidate, best, leaves_nothing):
         return may_be_better(candidate, best, leaves_nothing)
     if candidate.is_of_unknown:

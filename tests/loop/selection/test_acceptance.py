@@ -17,6 +17,7 @@ from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.effects.sky.moving_sources import MovingSources
 from hydrabeam_mpi.fit.gauss_newton import Underway
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift, ShapeDrift
@@ -57,9 +58,22 @@ ORDERS: list[tuple[str, dict[str, float], int, list[str]]] = [
     ("others that are linear later", {"places": 61, "gains": 42}, 6, ["places", "gains"]),
     ("bad integrations first where they have the most", {"bad": 100, "gains": 50}, 6, ["bad", "gains"]),
     ("bad integrations later where they have not", {"bad": 100, "gains": 101}, 6, ["gains", "bad"]),
+    ("what stays first where it comes near what moves", {"moving": 50, "places": 45, "missing": 36}, 6,
+     ["missing", "moving", "places"]),
+    ("what stays later where it does not", {"moving": 50, "places": 45, "missing": 34}, 6,
+     ["moving", "places", "missing"]),
+    ("a constant before a jump that comes to more", {"jumps": 50, "places": 45, "gains": 40}, 6,
+     ["gains", "jumps", "places"]),
     ("only so many effects, and noise besides", {"gains": 50, "noise": 45, "delays": 40}, 1, ["gains", "noise"]),
 ]  # fmt: skip
-NAMED = {"gains": AntennaGains(), "delays": AntennaDelays(), "places": AntennaPositions()}
+NAMED = {
+    "gains": AntennaGains(),
+    "jumps": make_effect("antenna_gains", {"law": "piecewise", "jumps": [2459866.7]}),
+    "delays": AntennaDelays(),
+    "places": AntennaPositions(),
+    "missing": MissingSources([(10.0, -30.0)]),
+    "moving": MovingSources([(10.0, -30.0)]),
+}
 
 
 @pytest.mark.parametrize(("wanted", "most", "order"), [case[1:] for case in ORDERS], ids=ids(ORDERS))

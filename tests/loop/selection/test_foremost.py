@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.effects.sky.moving_sources import MovingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Underway, refit
 from hydrabeam_mpi.fit.state import Fitted, Values
-from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, weigh_as_they_are
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.candidate_fits import fit_candidate
 from hydrabeam_mpi.loop.selection.foremost import fit_foremost
@@ -78,6 +81,33 @@ def test_of_several_the_foremost_alone_says_nothing_of_what_all_are_worth(
     every = np.where(places, 0.0, finding.evidence.prior_var.max())
     several = replace(finding, evidence=replace(finding.evidence, prior_var=every))
     assert fit_foremost(context, before, several, lambda at: False) is not None
+
+
+def test_what_moves_is_found_from_another_grating_lobe(tmp_path: Path) -> None:
+    """Of twenty lobes only those are fitted that come near the likeliest by the linear model."""
+    place, rate, flux = (97.0, -26.0), (6.0, -4.0), 30.0
+    added = {
+        "kind": "moving_sources",
+        "settings": {"sources": [place], "rates": [rate]},
+        "parameters": {"source at ra=97.000 dec=-26.000: flux": flux},
+    }
+    job = mock_job(added)
+    job["data"]["simulate"]["lst_range"] = [6.0, 7.0]
+    context = context_of(job, tmp_path)
+    before, setup = refit(context, Values()), context.setup
+    truth = MovingSources([place], 1, [rate]).in_full(setup)
+    lobes = list(islice(truth.alike(setup, np.zeros((1, 5)), 0), 2))
+    rates = [lobe.rates[0].tolist() for lobe in lobes]
+    wrong = MovingSources([lobe.sources[0] for lobe in lobes], 1, rates).in_full(setup)
+    (evidence,) = weigh_as_they_are(context, before, [wrong])
+    fitted = fit_foremost(context, before, Finding(wrong, evidence))
+    assert fitted is not None
+    last = fitted.values.active[-1]
+    told = last.effect.told(setup, last.x, fitted.fit.std[-1])
+    (own,) = np.unique(last.used // 5)
+    # Lobes are ten degrees apart. The flux goes with the beam there, which is not quite in the basis.
+    np.testing.assert_allclose(told.values[0, 5 * own + 1 : 5 * own + 5], [*place, *rate], atol=1e-3)
+    assert told.values[0, 5 * own] == pytest.approx(flux, rel=0.1)
 
 
 def test_once_it_is_fitted_all_are_asked_what_they_are_worth(
