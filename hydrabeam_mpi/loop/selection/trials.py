@@ -56,7 +56,7 @@ def try_effects(
     settings, ranking = context.problem.job.loop, _grown(context, checked.fitted, ranking, best)
     wanted = [one for one in _wanted(context, checked.fitted, ranking) if not one.is_control]
     for candidate in in_order(wanted, RULES.most_tries, outlook.weighed.first if outlook else None):
-        if best is not None and not may_be_tried(candidate, best, outlook):
+        if best is not None and not may_be_tried(context, candidate, best, outlook):
             continue
         try:
             fitted, after = fit_candidate(context, checked, candidate, _worth(context, checked, candidate, best))
@@ -95,15 +95,19 @@ def _grown(
     return tuple(sorted(grown, key=lambda one: -one.of_fitted))
 
 
-def may_be_tried(candidate: Candidate, best: Round, outlook: Outlook | None) -> bool:
+def may_be_tried(context: FitContext, candidate: Candidate, best: Round, outlook: Outlook | None) -> bool:
     """Whether a candidate is worth a fit beside the best so far. Collective: all ranks of the grid."""
     leaves_nothing, members = best.after.remains.consistent, {one.name for one in best.together}
     # Laws in time of a constant effect are no rivals of it: they are looked for beside it, in every round.
     if candidate.name in members or (candidate.kind, Effect.law) in members:
         return False
-    # Nor is what changes in time a rival of what stays as it is, if it does not promise more than that has come to.
-    if candidate.special_case == best.candidate.name and candidate.of_fitted <= best.candidate.of_fitted:
-        return False
+    # Nor is one thing that changes a rival of one that stays as it is, if it promises no more than that has come to.
+    # Where several stay it may stand for them all.
+    last = best.after.fitted.values.active[-1] if candidate.special_case == best.candidate.name else None
+    if last is not None and candidate.of_fitted <= best.candidate.of_fitted:
+        element = last.effect.parameters(context.setup).element
+        if len(np.unique(element[last.used])) == 1:
+            return False
     if outlook is None or leaves_nothing or not may_be_better(candidate, best, leaves_nothing):
         return may_be_better(candidate, best, leaves_nothing)
     if candidate.is_of_unknown:

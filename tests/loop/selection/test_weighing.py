@@ -154,8 +154,8 @@ def test_what_is_linear_has_to_come_to_more_than_the_best_with_what_is_beside_it
     many = replace(closure.finding, evidence=replace(closure.finding.evidence, effective_parameters=12.0))
     for part, is_tried in ((0.5, False), (1.5, True)):
         other = replace(closure, finding=many, log_bayes_factor=first + part * second)
-        assert may_be_tried(other, best, outlook) is is_tried
-        assert may_be_tried(other, best, None)
+        assert may_be_tried(context, other, best, outlook) is is_tried
+        assert may_be_tried(context, other, best, None)
 
 
 def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best_can_come_to(
