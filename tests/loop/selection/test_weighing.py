@@ -13,9 +13,11 @@ from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.registry import laws_of
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.effects.sky.moving_sources import MovingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution import columns_that_matter
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Round
@@ -23,7 +25,7 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.trials import may_be_tried, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
 from hydrabeam_mpi.loop.selection.whole_set import try_set
-from tests.loop.made import weights_candidate
+from tests.loop.made import checked, effect_candidate, round_of, weights_candidate
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005}}
@@ -200,3 +202,16 @@ def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best
     # What leaves rows out explains nothing that others could go on from.
     outlook = Outlook(context, EFFECTS, [], 6, weighed)
     assert outlook.leads_further(weights_candidate(), simpler.after, of_both(60.0)) is None
+
+
+def test_what_moves_is_a_rival_of_several_that_stay_but_not_of_one(context: FitContext) -> None:
+    places = [(31.4, -28.6), (40.0, -25.0)]
+    stays, moves = MissingSources(places), MovingSources(places).in_full(context.setup)
+    parameters = stays.parameters(context.setup)
+    for wanted, is_tried in ([0], False), ([0, 1], True):
+        prior_var = np.where(np.isin(parameters.element, wanted), parameters.scale**2, 0.0)
+        active = Active.start(stays, context.setup, prior_var, np.zeros((1, len(prior_var))))
+        after = checked(1.0, fitted=Fitted(Values((active,))))
+        best = round_of(effect_candidate(stays, 100.0), checked(5.0), after)
+        assert may_be_tried(context, effect_candidate(moves, 90.0), best, None) is is_tried
+        assert may_be_tried(context, effect_candidate(moves, 110.0), best, None)
