@@ -229,7 +229,6 @@ class TurningSky(Effect):
         turned = rotations.any(axis=1)
         change = np.zeros((len(block.times), len(block.groups)), dtype=complex)
         if turned.any():
-            at_turned = replace(block, times=block.times[turned])
-            seen = [one.integrate(_exact_beam)[..., 0] for one in (turned_sky(block, rotations), at_turned)]
-            change[turned] = seen[0] - seen[1]
+            after = turned_sky(block, rotations).integrate(_exact_beam)
+            change[turned] = (after - block.integrate(_exact_beam)[turned])[..., 0]
         return block.spread(change)

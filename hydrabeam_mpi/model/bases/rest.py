@@ -34,6 +34,17 @@ def rest_nodes(per_unit: int = PER_UNIT, n_az: int = N_AZ) -> tuple[FloatArray, 
     return both[0].ravel(), both[1].ravel()
 
 
+def _continued(values: FloatArray, per_unit: int) -> FloatArray:
+    """Return values at a table's nodes, (Nradii, Naz), that go on smoothly beyond the horizon: they do not bend there.
+
+    As cubics through the last four above it.
+    """
+    n_up = int(per_unit * HORIZON) + 1
+    known, beyond = np.arange(-3.0, 1.0), np.arange(1.0, len(values) - n_up + 1)
+    weights = np.vander(beyond, 4) @ np.linalg.inv(np.vander(known, 4))
+    return np.concatenate([values[:n_up], weights @ values[n_up - 4 : n_up]])
+
+
 class Rest(LinearBasis):
     """A single real function that is given at `rest_nodes`, and known up to the horizon.
 
@@ -61,7 +72,7 @@ class Rest(LinearBasis):
         values = self.values.astype(float)
         if self.samples is not None:
             values -= self.samples(*rest_nodes())
-        return PolarTable(values.reshape(-1, N_AZ), PER_UNIT)
+        return PolarTable(_continued(values.reshape(-1, N_AZ), PER_UNIT), PER_UNIT)
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Evaluate the function, (1, Npoints); see :meth:`LinearBasis.columns`."""
@@ -82,7 +93,8 @@ class Rest(LinearBasis):
     def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
         """Evaluate a multiple of it at a table's nodes, (Nradii, Naz)."""
         if (per_unit, n_az) not in self._at_nodes:
-            self._at_nodes[per_unit, n_az] = self.columns(*rest_nodes(per_unit, n_az))[0].reshape(-1, n_az)
+            values = self.columns(*rest_nodes(per_unit, n_az))[0].reshape(-1, n_az)
+            self._at_nodes[per_unit, n_az] = _continued(values, per_unit)
         return np.asarray(coeffs[0]).real * self._at_nodes[per_unit, n_az]
 
     def __getstate__(self) -> dict[str, Any]:
