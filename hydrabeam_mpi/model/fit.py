@@ -137,8 +137,8 @@ def _with_rest(chosen: LinearBasis, beam: Evaluable, pixels: Pixels) -> LinearBa
     some = slice(None, None, max(1, len(left.za) // _POINTS_AT_ONCE))
     size = float(np.sqrt(np.mean(np.abs(chosen.evaluate(left.za[some], left.az[some])) ** 2)))
     scale = size / float(np.sqrt(np.mean(left.values**2)))
-    left = _left_of(_at_nodes(beam), chosen, coeffs)
-    return WithRest(chosen, Rest(scale * left.values, _samples_of(beam, scale)))
+    at_nodes = _left_of(_at_nodes(beam), chosen, coeffs).values
+    return WithRest(chosen, Rest(scale * at_nodes, _samples_of(beam, scale)))
 
 
 def rest_of(beam: Evaluable, basis: LinearBasis, coeffs: Array) -> Rest | None:

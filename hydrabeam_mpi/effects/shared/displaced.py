@@ -154,7 +154,7 @@ def turn_per_second(block: RowBlock) -> FloatArray:
 
 def turning_columns(sources: Sources) -> FloatArray:
     """Return the beam, the beam times the unit vector, and the torque of the beam's slope, (7, Nsrc)."""
-    beam = sources.exact_beam[np.newaxis]
+    beam = _exact_beam(sources)
     return np.concatenate([beam, beam * sources.enu, sources.torque])
 
 
@@ -215,12 +215,11 @@ class TurningSky(Effect):
         """
         rotations = self.rotations(block, x)
         turned = rotations.any(axis=1)
-        after = turned_sky(block, rotations).integrate(self.sky_columns) if turned.any() else None
-        if after is None or not turned.all():
-            moments = block.integral(self).copy()
-            moments[turned] = 0.0 if after is None else after
-        else:
-            moments = after
+        moments = np.zeros((len(block.times), len(block.groups), 7), dtype=complex)
+        if turned.any():
+            moments[turned] = turned_sky(block, rotations).integrate(self.sky_columns)
+        if not turned.all():
+            moments[~turned] = block.integral(self)[~turned]
         return turning_rates(block, moments)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:

@@ -63,12 +63,7 @@ def attribute(
         cached = cached or CachedRowBlocks.of(context, fitted.estimate)
     picked = pick(context, fitted, cached, effects)
     picked = [effect for effect in picked if _has_more(context, values, effect)]
-    candidates = {
-        f"candidate {number}": CandidateBlock(effect, np.zeros(len(effect.parameters(context.setup))))
-        for number, effect in enumerate(picked)
-    }
-    by_name = likelihoods(context, fitted, cached, candidates)
-    told = None if by_name is None else list(by_name.values())
+    told = _told_of_each(context, fitted, cached, picked)
     # What all channels may have alike has the same columns, so that the other form costs no further sums.
     alike = _in_all_channels(context, picked)
     forms, told_of_forms = [*picked, *alike.values()], None if told is None else [*told, *(told[k] for k in alike)]
@@ -90,15 +85,22 @@ def weigh_as_they_are(context: FitContext, fitted: Fitted, effects: Sequence[Eff
     """
     with together(context.grid.world):
         cached = CachedRowBlocks.of(context, fitted.estimate)
+    told = _told_of_each(context, fitted, cached, effects)
+    evidence = _weigh_all(context, fitted.values, effects, told, Limits.of(context, fitted))
+    result: list[Evidence] = bcast_object(context.grid.world, evidence)
+    return result
+
+
+def _told_of_each(
+    context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: Sequence[Effect]
+) -> list[list[Beside]] | None:
+    """Return what each channel says of each effect around zero; None off rank 0. Collective: all ranks of the grid."""
     candidates = {
         f"candidate {number}": CandidateBlock(effect, np.zeros(len(effect.parameters(context.setup))))
         for number, effect in enumerate(effects)
     }
     by_name = likelihoods(context, fitted, cached, candidates)
-    told = None if by_name is None else list(by_name.values())
-    evidence = _weigh_all(context, fitted.values, effects, told, Limits.of(context, fitted))
-    result: list[Evidence] = bcast_object(context.grid.world, evidence)
-    return result
+    return None if by_name is None else list(by_name.values())
 
 
 def _in_all_channels(context: FitContext, effects: Sequence[Effect]) -> dict[int, Effect]:

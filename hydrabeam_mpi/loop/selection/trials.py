@@ -103,10 +103,9 @@ def may_be_tried(context: FitContext, candidate: Candidate, best: Round, outlook
         return False
     # Nor is one thing that changes a rival of one that stays as it is, if it promises no more than that has come to.
     # Where several stay it may stand for them all.
-    last = best.after.fitted.values.active[-1] if candidate.special_case == best.candidate.name else None
-    if last is not None and candidate.of_fitted <= best.candidate.of_fitted:
-        element = last.effect.parameters(context.setup).element
-        if len(np.unique(element[last.used])) == 1:
+    if candidate.special_case == best.candidate.name and candidate.of_fitted <= best.candidate.of_fitted:
+        last = best.after.fitted.values.active[-1]
+        if len(np.unique(last.effect.parameters(context.setup).element[last.used])) == 1:
             return False
     if outlook is None or leaves_nothing or not may_be_better(candidate, best, leaves_nothing):
         return may_be_better(candidate, best, leaves_nothing)

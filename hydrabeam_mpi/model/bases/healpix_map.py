@@ -53,30 +53,37 @@ class HealpixMap:
 
         So it is restored from its description as well.
         """
-        values = (factor * self._values[self._above_horizon]).astype(np.float32)
-        return HealpixMap(self._healpix.nside, self._healpix.order, self._above_horizon, values)
-
-    @property
-    def _above_horizon(self) -> IntArray:
-        """Numbers of the pixels between which directions above the horizon lie."""
-        _, latitude = self._healpix.healpix_to_lonlat(np.arange(self._healpix.npix))
-        # Rings are less than a pixel apart.
-        return np.flatnonzero(latitude >= -self._healpix.pixel_resolution)
+        pixels = _above_horizon(self._healpix)
+        values = (factor * self._values[pixels]).astype(np.float32)
+        return HealpixMap(self._healpix.nside, self._healpix.order, pixels, values)
 
     def describe(self) -> dict[str, Any]:
-        """Return what a real map `times` a factor is restored from; its values single precision in base 64."""
-        values = self._values[self._above_horizon].astype("<f4")
-        return {
-            "nside": int(self._healpix.nside),
-            "ordering": self._healpix.order,
-            "values": base64.b64encode(values.tobytes()).decode(),
-        }
+        """Return what a real map `times` a factor is restored from."""
+        values = in_base64(self._values[_above_horizon(self._healpix)])
+        return {"nside": int(self._healpix.nside), "ordering": self._healpix.order, "values": values}
 
     @classmethod
     def from_description(cls, description: Mapping[str, Any]) -> HealpixMap:
         """Restore it from a description; ValueError where it is none."""
-        empty = cls(description["nside"], description["ordering"], np.zeros(0, dtype=int), np.zeros(0))
-        values = np.frombuffer(base64.b64decode(description["values"], validate=True), "<f4")
-        if len(values) != len(empty._above_horizon):
+        nside, ordering, values = (description[name] for name in ("nside", "ordering", "values"))
+        pixels, numbers = _above_horizon(HEALPix(nside, ordering)), from_base64(values)
+        if len(numbers) != len(pixels):
             raise ValueError("not one number for each pixel")
-        return cls(description["nside"], description["ordering"], empty._above_horizon, values)
+        return cls(nside, ordering, pixels, numbers)
+
+
+def _above_horizon(healpix: HEALPix) -> IntArray:
+    """Return the numbers of the pixels between which directions above the horizon lie."""
+    _, latitude = healpix.healpix_to_lonlat(np.arange(healpix.npix))
+    # Rings are less than a pixel apart.
+    return np.flatnonzero(latitude >= -healpix.pixel_resolution)
+
+
+def in_base64(values: Array) -> str:
+    """Write numbers in single precision as text, for a description."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode()
+
+
+def from_base64(text: str) -> FloatArray:
+    """Read numbers that `in_base64` has written; ValueError where it has not."""
+    return np.frombuffer(base64.b64decode(text, validate=True), "<f4")

@@ -6,7 +6,6 @@ at every line between their centres, which a table cannot follow. Of such a beam
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar
@@ -16,7 +15,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.model.bases.healpix_map import HealpixMap
+from hydrabeam_mpi.model.bases.healpix_map import HealpixMap, from_base64, in_base64
 from hydrabeam_mpi.model.bases.polar_table import HORIZON, PolarTable, radii
 
 PER_UNIT, N_AZ = 320, 720
@@ -103,7 +102,7 @@ class Rest(LinearBasis):
 
     def describe(self) -> dict[str, Any]:
         """Return kind, the values at the nodes, single precision in base 64, and the map, where there is one."""
-        described = {"kind": "rest", "values": base64.b64encode(self.values.astype("<f4").tobytes()).decode()}
+        described = {"kind": "rest", "values": in_base64(self.values)}
         return described if self.samples is None else {**described, "samples": self.samples.describe()}
 
     @classmethod
@@ -114,7 +113,7 @@ class Rest(LinearBasis):
     @classmethod
     def from_description(cls, description: Mapping[str, Any]) -> Rest:
         """Restore it from a description; ValueError where it is none."""
-        values = np.frombuffer(base64.b64decode(description["values"], validate=True), "<f4")
+        values = from_base64(description["values"])
         if len(values) != len(rest_nodes()[0]) or not np.isfinite(values).all():
             raise ValueError("not one number for each node")
         samples = description.get("samples")
