@@ -124,7 +124,9 @@ def _with_revisions(
     return Reweighed(again, moved, told, any(one.unchanging for one in revisions))
 
 
-def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[int, int | None]]:
+def revise(
+    context: FitContext, last: Round, n_given: int, is_new: bool = True
+) -> tuple[Round, dict[int, int | None]]:
     """Weigh all effects found so far again; see `reweigh`. Nothing is revised that raises the held-out rms.
 
     Collective: all ranks of the grid.
@@ -133,9 +135,10 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     ----------
     context : FitContext
     last : Round
-        Just accepted.
     n_given : int
         How many effects the job itself has in the model, which stay as they are.
+    is_new : bool
+        Whether the last effect has just been added, so that it is not left out.
 
     Returns
     -------
@@ -147,7 +150,7 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     n = len(last.after.fitted.values.active)
     same: dict[int, int | None] = {place: place for place in range(n)}
     # A change of the weights leaves none of the effects as it was when it was found.
-    newest = n - 1 if last.candidate.finding is not None else None
+    newest = n - 1 if is_new and last.candidate.finding is not None else None
     if all(place == newest for place in range(n_given, n)):
         return last, same
     found = reweigh(context, last.after.fitted, range(n_given, n), newest)
@@ -161,7 +164,7 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     if not found.is_constant:
         return last, found.places
     # Of what was taken for variable in several places there may be fewer that are not.
-    last, further = revise(context, last, n_given)
+    last, further = revise(context, last, n_given, is_new)
     return last, {old: None if new is None else further[new] for old, new in found.places.items()}
 
 

@@ -20,6 +20,7 @@ from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.simpler import simplified
 from hydrabeam_mpi.loop.selection.taken_back import (
+    Taken,
     beside_noise,
     take_back,
     take_back_faint,
@@ -269,7 +270,7 @@ def _accept(context: FitContext, history: History, added: Round) -> Round:
 def _take_back(context: FitContext, history: History) -> None:
     """Take back what is faint beside the others, unphysical, not the same in all parts or explained since.
 
-    That goes on until nothing is left to take back.
+    What stays gets the priors that it wants without that. This goes on until nothing changes.
 
     Collective: all ranks of the grid.
     """
@@ -277,7 +278,7 @@ def _take_back(context: FitContext, history: History) -> None:
     n_given, there = len(given.active), [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
-        for step in (take_back_faint, take_back_unphysical, take_back):
+        for step in (_revised, take_back_faint, take_back_unphysical, take_back):
             fitted = history.last.fitted
             if len(fitted.values.active) > n_given:
                 last, places, asked = step(context, history.rounds[-1], n_given)
@@ -295,6 +296,15 @@ def _take_back(context: FitContext, history: History) -> None:
         replace(one, given_up=one.given_up or (was and one.revoked))
         for was, one in zip(there, history.rounds, strict=True)
     ]
+
+
+def _revised(context: FitContext, last: Round, n_given: int) -> Taken:
+    """Weigh all effects again, beside others or another prior of the beam than when they were found; see `take_back`.
+
+    Collective: all ranks of the grid.
+    """
+    last, places = revise(context, last, n_given, is_new=False)
+    return last, places, {}
 
 
 def _asked(
