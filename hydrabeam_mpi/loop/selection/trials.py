@@ -111,7 +111,8 @@ def may_be_tried(context: FitContext, candidate: Candidate, best: Round, outlook
         return may_be_better(candidate, best, leaves_nothing)
     if candidate.is_of_unknown:
         # What an effect explains is not to be left out with what none does.
-        return candidate.log_bayes_factor > best.evidence_of_all + outlook.beside(best, candidate)
+        left = outlook.beside(best, candidate)
+        return left > 0 and candidate.log_bayes_factor > best.evidence_of_all + left
     if candidate.finding is None or not candidate.finding.effect.linear:
         return may_be_better(candidate, best, enough=True) or not outlook.explains_rest(best)
     # Of what is linear it is known what it comes to, and so whether that is more than the best with what is beside it.

@@ -166,9 +166,16 @@ class Outlook:
         self.ahead, self.leads = (best.after.fitted, beside), True
 
     def beside(self, best: Round, candidate: Candidate) -> float:
-        """Return the log Bayes factor that a candidate has beside the best. Collective: all ranks of the grid."""
-        ranking = self._beside(best).ranking
-        return max((one.log_bayes_factor for one in ranking if one.name == candidate.name), default=0.0)
+        """Return the log Bayes factor that a candidate has beside the best; none where it has less than is asked for.
+
+        Collective: all ranks of the grid.
+        """
+        fitted = best.after.fitted
+        if self.ahead is None or self.ahead[0] is not fitted:
+            self.ahead = fitted, self._weigh_beside(fitted, max(len(best.together), 1))
+        least = self.context.problem.job.loop.min_log_bayes_factor
+        found = (one.log_bayes_factor for one in self.ahead[1].ranking if one.name == candidate.name)
+        return max((one for one in found if one >= least), default=0.0)
 
     def _beside(self, best: Round) -> Weighed:
         """Return what there is to try beside the best, or of nothing if another one was that when it was looked at.

@@ -43,10 +43,11 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     What a set has beyond the effects of the best, and what was refused in a set before, is left to the next round, in
     which it is looked for beside the best.
 
-    There are no rounds where the set would leave more than noise, or none holds. Collective: all ranks of the grid.
+    A set that leaves more than noise has those alone that explain more than it leaves; see `weigh_together`. There are
+    no rounds where none holds. Collective: all ranks of the grid.
     """
     best: tuple[Round, ...] = ()
-    sets = (weighed.together, *weighed.simpler) if weighed.explains else (weighed.with_drift,)
+    sets = (weighed.together, *weighed.simpler, *(() if weighed.explains else (weighed.with_drift,)))
     for of_set in sorted(sets, key=lambda one: one.n_parameters):
         one = of_set.without({candidate.name for candidate, _ in tried})
         if best and best[-1].after.remains.consistent:
