@@ -278,7 +278,7 @@ def _take_back(context: FitContext, history: History) -> None:
     n_given, there = len(given.active), [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
-        for step in (_revised, take_back_faint, take_back_unphysical, take_back):
+        for step in (take_back_faint, take_back_unphysical, take_back, _revised):
             fitted = history.last.fitted
             if len(fitted.values.active) > n_given:
                 last, places, asked = step(context, history.rounds[-1], n_given)
