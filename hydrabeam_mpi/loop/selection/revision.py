@@ -124,9 +124,7 @@ def _with_revisions(
     return Reweighed(again, moved, told, any(one.unchanging for one in revisions))
 
 
-def revise(
-    context: FitContext, last: Round, n_given: int, is_new: bool = True
-) -> tuple[Round, dict[int, int | None]]:
+def revise(context: FitContext, last: Round, n_given: int, is_new: bool = True) -> tuple[Round, dict[int, int | None]]:
     """Weigh all effects found so far again; see `reweigh`. Nothing is revised that raises the held-out rms.
 
     Collective: all ranks of the grid.

@@ -71,6 +71,10 @@ def try_effects(
                 continue
             told = f"    with another beside it, it comes to more than {best.candidate.title} can with any"
             say(told, context.grid.is_world_root)
+        elif best is not None and outlook and outlook.is_led_by(best, fitted, after):
+            told = f"    with another beside it, {best.candidate.title} comes to more than it can with any"
+            say(told, context.grid.is_world_root)
+            continue
         reason = refusal_of_fit(context, checked, after, fitted)
         reason = reason or least_beside(context, after.fitted, {-1: rivals_of(fitted, ranking, settings)})[-1].refusal
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
@@ -112,7 +116,7 @@ def may_be_tried(context: FitContext, candidate: Candidate, best: Round, outlook
     if candidate.is_of_unknown:
         # What an effect explains is not to be left out with what none does.
         left = outlook.beside(best, candidate)
-        return left > 0 and candidate.log_bayes_factor > best.evidence_of_all + left
+        return bool(left > 0 and candidate.log_bayes_factor > best.evidence_of_all + left)
     if candidate.finding is None or not candidate.finding.effect.linear:
         return may_be_better(candidate, best, enough=True) or not outlook.explains_rest(best)
     # Of what is linear it is known what it comes to, and so whether that is more than the best with what is beside it.

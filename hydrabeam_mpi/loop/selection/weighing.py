@@ -150,16 +150,36 @@ class Outlook:
         more beside that than what it leaves above the noise. Alone it may explain less than what has many more
         parameters, which take up a part of all that is missing. Collective: all ranks of the grid.
         """
-        reached = best.candidate.of_fitted
-        if candidate.finding is None or complexity(candidate) >= complexity(best.candidate):
-            return None
-        if not is_near(candidate, reached):
-            return None
-        needed = reached + left_of(self.context, best.after.fitted).above_noise - candidate.of_fitted
-        if left_of(self.context, after.fitted).above_noise <= needed:
+        needed = best.candidate.of_fitted + left_of(self.context, best.after.fitted).above_noise - candidate.of_fitted
+        if not self._may_lead(candidate, after.fitted, best.candidate, needed):
             return None
         weighed = self._weigh_beside(after.fitted, 1)
         return weighed if weighed.most_of_effects > needed else None
+
+    def is_led_by(self, best: Round, candidate: Candidate, after: Checked) -> bool:
+        """Whether a simpler best one leads further than what has more evidence by itself; see `leads_further`.
+
+        Each is taken with what explains most beside it. Collective: all ranks of the grid.
+        """
+        needed = candidate.of_fitted - best.candidate.of_fitted
+        if not self._may_lead(best.candidate, best.after.fitted, candidate, needed):
+            return False
+        gained = self._ahead_of(best).most_of_effects
+        if gained <= needed:
+            return False
+        if gained > needed + left_of(self.context, after.fitted).above_noise:
+            return True
+        beside = self._weigh_beside(after.fitted, 1)
+        if gained > needed + beside.most_of_effects:
+            return True
+        self.ahead = after.fitted, beside
+        return False
+
+    def _may_lead(self, one: Candidate, with_one: Fitted, two: Candidate, needed: float) -> bool:
+        """Whether one is simpler than another, and leaves more than the nats that are ``needed`` beside it."""
+        if one.finding is None or complexity(one) >= complexity(two) or not is_near(one, two.of_fitted):
+            return False
+        return left_of(self.context, with_one).above_noise > needed
 
     def follow(self, best: Round, beside: Weighed) -> None:
         """Go on with the best, which leads further than all others, and with what there is to try beside it."""
@@ -170,23 +190,24 @@ class Outlook:
 
         Collective: all ranks of the grid.
         """
+        least = self.context.problem.job.loop.min_log_bayes_factor
+        found = (one.log_bayes_factor for one in self._ahead_of(best).ranking if one.name == candidate.name)
+        return max((one for one in found if one >= least), default=0.0)
+
+    def _ahead_of(self, best: Round) -> Weighed:
+        """Weigh all with the best in the model, if it is not the one of which that is known."""
         fitted = best.after.fitted
         if self.ahead is None or self.ahead[0] is not fitted:
             self.ahead = fitted, self._weigh_beside(fitted, max(len(best.together), 1))
-        least = self.context.problem.job.loop.min_log_bayes_factor
-        found = (one.log_bayes_factor for one in self.ahead[1].ranking if one.name == candidate.name)
-        return max((one for one in found if one >= least), default=0.0)
+        return self.ahead[1]
 
     def _beside(self, best: Round) -> Weighed:
         """Return what there is to try beside the best, or of nothing if another one was that when it was looked at.
 
         To know it all are weighed with the best in the model, as they are in the next round; once in a round.
         """
-        fitted = best.after.fitted
-        if self.ahead is None:
-            self.ahead = fitted, self._weigh_beside(fitted, max(len(best.together), 1))
-        at, weighed = self.ahead
-        return weighed if at is fitted else Weighed(())
+        is_other = self.ahead is not None and self.ahead[0] is not best.after.fitted
+        return Weighed(()) if is_other else self._ahead_of(best)
 
     def _weigh_beside(self, fitted: Fitted, n_added: int) -> Weighed:
         effects = next_of(self.context, self.effects, fitted.values)

@@ -43,11 +43,13 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     What a set has beyond the effects of the best, and what was refused in a set before, is left to the next round, in
     which it is looked for beside the best.
 
-    A set that leaves more than noise has those alone that explain more than it leaves; see `weigh_together`. There are
-    no rounds where none holds. Collective: all ranks of the grid.
+    Of a set that leaves more than noise those alone are fitted that none of the others stands for. There are no rounds
+    where none holds. Collective: all ranks of the grid.
     """
     best: tuple[Round, ...] = ()
-    sets = (weighed.together, *weighed.simpler, *(() if weighed.explains else (weighed.with_drift,)))
+    sets = (weighed.together, *weighed.simpler)
+    if not weighed.explains:
+        sets = (weighed.with_drift, *(_that_none_stands_for(one, weighed) for one in sets))
     for of_set in sorted(sets, key=lambda one: one.n_parameters):
         one = of_set.without({candidate.name for candidate, _ in tried})
         if best and best[-1].after.remains.consistent:
@@ -60,6 +62,13 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
         if found and (not best or as_one(found).evidence_of_all > as_one(best).evidence_of_all):
             best = found
     return best
+
+
+def _that_none_stands_for(of_set: Together, weighed: Weighed) -> Together:
+    """Return those of a set that explain beside the others nearly what they do by themselves."""
+    alone = {one.name: one.log_bayes_factor for one in weighed.ranking}
+    taken_up = [one for one in of_set.members if one.log_bayes_factor < RULES.near_if_linear * alone[one.name]]
+    return of_set.without({one.name for one in taken_up})
 
 
 def _try_one_set(

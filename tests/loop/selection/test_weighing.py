@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.noise.bad_baselines import BadBaselines
 from hydrabeam_mpi.effects.registry import laws_of
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.effects.sky.moving_sources import MovingSources
@@ -20,7 +23,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution import columns_that_matter
 from hydrabeam_mpi.loop.rules import RULES
-from hydrabeam_mpi.loop.selection.acceptance import Round
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.trials import may_be_tried, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
@@ -202,6 +205,56 @@ def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best
     # What leaves rows out explains nothing that others could go on from.
     outlook = Outlook(context, EFFECTS, [], 6, weighed)
     assert outlook.leads_further(weights_candidate(), simpler.after, of_both(60.0)) is None
+
+
+def test_what_is_simpler_stays_the_best_if_with_another_it_comes_to_more(context: FitContext, weighed: Weighed) -> None:
+    """What has many parameters is fitted after a gain, and has more evidence than that has without a coupling."""
+    first = check(context, refit(context, Values()))
+    gains, coupling = weighed.together.members
+    best = try_effects(context, first, [gains], [])
+    assert best is not None
+    both = try_effects(context, best.after, [coupling], [])
+    assert both is not None
+    assert gains.finding is not None
+    evidence = replace(gains.finding.evidence, effective_parameters=40.0)
+    many, second = replace(gains, finding=replace(gains.finding, evidence=evidence)), both.candidate.log_bayes_factor
+
+    def is_led(effects: Sequence[Effect], more: float, after: Checked, rival: Candidate = many) -> bool:
+        """Whether the gains lead something that has so much more evidence than they have."""
+        rival = replace(rival, log_bayes_factor=best.candidate.log_bayes_factor + more)
+        outlook = Outlook(context, effects, [], 6, weighed)
+        led = outlook.is_led_by(best, rival, after)
+        if not led and outlook.ahead is not None and outlook.ahead[0] is after.fitted:
+            # It is going to be the best, and what there is beside it has been weighed.
+            assert outlook.after(after.fitted) is outlook.ahead[1]
+        return led
+
+    assert is_led(EFFECTS, 0.5 * second, both.after)
+    assert not is_led(EFFECTS, 1.5 * second, both.after)
+    # Nothing stands in for the coupling, or what is not simpler.
+    assert not is_led(EFFECTS[:1], 0.5 * second, both.after)
+    assert not is_led(EFFECTS, 0.5 * second, both.after, gains)
+    # Beside the other the coupling is wanted as well.
+    assert not is_led(EFFECTS, 0.5 * second, best.after)
+
+
+def test_baselines_are_left_out_only_where_some_are_bad_beside_the_best(context: FitContext, weighed: Weighed) -> None:
+    gains, _ = weighed.together.members
+    best = try_effects(context, check(context, refit(context, Values())), [gains], [])
+    assert best is not None
+    found = weights_candidate(1e9).weights
+    assert found is not None
+    bad = Candidate(BadBaselines.kind, BadBaselines.title, 1e9, weights=replace(found, change=BadBaselines()))
+    assert bad.is_of_unknown
+    least = context.problem.job.loop.min_log_bayes_factor
+    for beside, is_tried in ((2 * least, True), (0.5 * least, False), (None, False)):
+        ranking = () if beside is None else (replace(bad, log_bayes_factor=beside),)
+        outlook = Outlook(context, EFFECTS, [], 6, weighed, (best.after.fitted, Weighed(ranking)))
+        assert may_be_tried(context, bad, best, outlook) is is_tried
+    # What is known of another one says nothing of the best.
+    outlook = Outlook(context, EFFECTS, [], 6, weighed, (Fitted(), Weighed((replace(bad, log_bayes_factor=1e6),))))
+    assert outlook.beside(best, bad) == 0.0
+    assert outlook.after(best.after.fitted) is not None
 
 
 def test_what_moves_is_a_rival_of_several_that_stay_but_not_of_one(context: FitContext) -> None:

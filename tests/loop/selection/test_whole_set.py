@@ -19,6 +19,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection import whole_set
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -303,6 +304,22 @@ def test_what_is_picked_from_a_grid_is_tried_by_itself(context: FitContext, befo
     for members in ((first, source), (source, first, second)):
         together = Together(members, tuple((one,) for one in members))
         assert try_set(context, before, replace(weighed, together=together), []) == ()
+
+
+def test_of_a_set_that_leaves_more_than_noise_those_are_fitted_that_none_stands_for(
+    context: FitContext, before: Checked, weighed: Weighed, rounds: tuple[Round, ...]
+) -> None:
+    """Something else may be missing as well, which no effect or no linear model tells."""
+    found = try_set(context, before, replace(weighed, explains=False), [])
+    assert [one.candidate.kind for one in found] == ["antenna_gains", "cross_coupling"]
+    gains, coupling = weighed.together.members
+    (alone,) = (one for one in weighed.ranking if one.kind == "antenna_gains")
+    for part, n in ((1.01, 2), (0.99, 0)):
+        # As if the coupling took up so much of what the gains explain by themselves.
+        left = replace(gains, log_bayes_factor=part * RULES.near_if_linear * alone.log_bayes_factor)
+        together = replace(weighed.together, members=(left, coupling))
+        assert len(try_set(context, before, replace(weighed, together=together, explains=False), [])) == n
+        assert len(try_set(context, before, replace(weighed, together=together), [])) == 2
 
 
 def test_what_explains_nothing_without_another_comes_after_it(tmp_path: Path) -> None:
