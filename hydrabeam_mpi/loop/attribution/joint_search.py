@@ -16,9 +16,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution.all_channels import AllChannels
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_possible
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.rules import RULES
@@ -161,12 +162,21 @@ class JointLikelihood:
         """Return the same of those whose parameters channels share, or of those of which each has its own."""
         if not numbers:
             return []
-        model, by_channel = self._beside_model[shared]
-        others, order = self._others(model, state)
-        own = [self._span(model, i) for i in numbers]
-        left = others.marginalised([_part(one, np.concatenate([order, *own])) for one in by_channel], shared)
+        own = [self._columns(i) for i in numbers]
         ends = np.cumsum([0, *map(len, own)])
+        if shared and len(self.by_channel) > 1:
+            left = [self._all_channels.beside(*self._of_state(state), np.concatenate(own))]
+        else:
+            model, by_channel = self._beside_model[shared]
+            others, order = self._others(model, state)
+            every = np.concatenate([order, *(len(model.shared) + one for one in own)])
+            left = others.marginalised([_part(one, every) for one in by_channel], shared)
         return [[_part(one, np.arange(*pair)) for one in left] for pair in pairwise(ends)]
+
+    @cached_property
+    def _all_channels(self) -> AllChannels:
+        """What several channels together say of what they share."""
+        return AllChannels.of(*self._beside_model[True])
 
     @cached_property
     def _beside_model(self) -> dict[bool, tuple[Others, list[Likelihood]]]:
@@ -178,16 +188,26 @@ class JointLikelihood:
 
     def _others(self, model: Others, state: State) -> tuple[Others, np.ndarray]:
         """Return what is there of the model and a set, and where that is in a matrix that begins with this model."""
+        columns, shared, prior_var = self._of_state(state)
+        n = len(model.shared)
+        return model.and_more(shared, prior_var), np.concatenate([np.arange(n), n + columns])
+
+    def _of_state(self, state: State) -> tuple[IntArray, BoolArray, FloatArray]:
+        """Return the columns that a set has in use, which of them channels share, and their prior variances."""
         used = {i: np.flatnonzero(one.prior_var) for i, one in state.items()}
-        order = [np.arange(len(model.shared)), *(self._span(model, i)[own] for i, own in used.items())]
+        none = np.zeros(0)
+        columns = [self._columns(i)[own] for i, own in used.items()]
         shared = [np.full(len(own), self.competitors[i].shared) for i, own in used.items()]
         prior_var = [state[i].prior_var[own] for i, own in used.items()]
-        none = np.zeros(0)
-        more = np.concatenate([none.astype(bool), *shared]), np.concatenate([none, *prior_var])
-        return model.and_more(*more), np.concatenate(order)
+        return (
+            np.concatenate([none.astype(int), *columns]),
+            np.concatenate([none.astype(bool), *shared]),
+            np.concatenate([none, *prior_var]),
+        )
 
-    def _span(self, model: Others, number: int) -> np.ndarray:
-        start = len(model.shared) + sum(len(one.parameters) for one in self.competitors[:number])
+    def _columns(self, number: int) -> IntArray:
+        """Return where a competitor's parameters are among those of all."""
+        start = sum(len(one.parameters) for one in self.competitors[:number])
         return np.arange(start, start + len(self.competitors[number].parameters))
 
 

@@ -218,3 +218,34 @@ def test_the_model_that_is_taken_out_once_is_as_beside_each_set(n_freqs: int) ->
             np.testing.assert_allclose(one.information, other.information, rtol=1e-9)
             np.testing.assert_allclose(one.score, other.score, rtol=1e-9)
             np.testing.assert_array_equal(one.signal, other.signal)
+
+
+def test_what_channels_share_is_as_in_one_matrix_of_all_channels() -> None:
+    """Beside a set of which channels share one and each has the other its own, and a model that they share in part."""
+    is_shared, precision = np.array([True, False, True]), np.diag([0.5, 3.0, 7.0])
+    model = Others(is_shared, (precision,) * 2, tuple(np.where(is_shared, 0.7, draw(3, seed=f)) for f in (30, 31)))
+    matrices = [draw(N_DATA, 9, seed=f) + 3 * draw(N_DATA, 1, seed=34) for f in (32, 33)]
+    data = [draw(N_DATA, seed=f) for f in (35, 36)]
+    by_channel = [Likelihood(m.T @ m, m.T @ d, m.T @ m) for m, d in zip(matrices, data, strict=True)]
+    competitors = [competitor(2, shared=True), competitor(2), competitor(2, shared=True)]
+    joint = JointLikelihood(by_channel, model, competitors)
+    prior_var = np.array([0.3, 0.0]), np.array([0.2, 0.6])
+    state = {i: replace(joint.weigh({}, [i])[i], prior_var=prior_var[i]) for i in (0, 1)}
+    (found,) = joint._beside(state, [2], shared=True)[0]
+
+    # Shared columns once, the others once a channel; the unused second one of the first competitor is left out.
+    together, apart = [0, 2, 3, 7, 8], [1, 5, 6]
+    whole = np.zeros((2 * N_DATA, 11))
+    for channel, one in enumerate(matrices):
+        rows = slice(channel * N_DATA, (channel + 1) * N_DATA)
+        whole[rows, :5], whole[rows, 5 + 3 * channel : 8 + 3 * channel] = one[:, together], one[:, apart]
+    of_prior = [0.5, 7.0, 1 / 0.3, 0, 0, *(2 * [3.0, 1 / 0.2, 1 / 0.6])]
+    score = whole.T @ np.concatenate(data)
+    score[[0, 1]] += 0.7
+    score[[5, 8]] += [one[1] for one in model.score]
+    information, own = whole.T @ whole + np.diag(of_prior), [3, 4]
+    gone = np.setdiff1d(np.arange(11), own)
+    seen = np.linalg.solve(information[np.ix_(gone, gone)], information[np.ix_(gone, own)])
+    np.testing.assert_allclose(found.information, information[np.ix_(own, own)] - information[np.ix_(own, gone)] @ seen)
+    np.testing.assert_allclose(found.score, score[own] - seen.T @ score[gone])
+    np.testing.assert_allclose(found.signal, (whole.T @ whole)[np.ix_(own, own)])
