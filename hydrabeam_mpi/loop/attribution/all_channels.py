@@ -31,7 +31,8 @@ class AllChannels:
     by_channel : sequence of Likelihood
         Of all columns, (q,), with the model at zero.
     left, right : ndarray, (Nchannels, n, q + 1)
-        Of which the product, transposed by plain, is K_cm M^-1 K_mc, and in the last column what the score loses.
+        Factors of K_cm M^-1 K_mc = left^T right, a channel's columns by another's. With the last column of ``right``,
+        which is of the score of all, it is what the score loses.
     """
 
     by_channel: Sequence[Likelihood]
