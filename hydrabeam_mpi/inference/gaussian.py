@@ -132,7 +132,7 @@ class Gaussian:
         if not out:
             return self
         gone, rest, blocks = self._split(out)
-        own, unit = _in_units(self.precision[np.ix_(gone, gone)])
+        own, unit = in_units(self.precision[np.ix_(gone, gone)])
         pulled = unit[:, np.newaxis] * np.column_stack([self.precision[np.ix_(gone, rest)], self.source[gone]])
         try:
             taken, log_det = _seen_through(own, pulled)
@@ -169,7 +169,7 @@ class Gaussian:
     @cached_property
     def moments(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), also where rounding has left the precision not quite positive."""
-        matrix, unit = _in_units(self.precision)
+        matrix, unit = in_units(self.precision)
         covariance = unit[:, np.newaxis] * inverse_hermitian(matrix) * unit
         return covariance @ self.source, covariance
 
@@ -257,10 +257,16 @@ def _rows_of(spans: Mapping[str, slice], names: Sequence[str]) -> IntArray:
 
 
 def _seen_through(precision: Array, columns: Array) -> tuple[Array, float]:
-    """Return columns^H P^-1 columns, (k, k), and ln|P| of a Hermitian P, (n, n), with columns (n, k).
+    """Return columns^H P^-1 columns, (k, k), and ln|P|; arguments and what is raised are those of `halves`."""
+    left, right, log_det = halves(precision, columns)
+    return left.conj().T @ right, log_det
 
-    By LU where directions of P are determined by no more than rounding errors of either sign: they are no obstacle to
-    that, and it takes twice as long.
+
+def halves(precision: Array, columns: Array) -> tuple[Array, Array, float]:
+    """Return two factors, (n, k), with left^H right = columns^H P^-1 columns, and ln|P| of a Hermitian P, (n, n).
+
+    They are the same, P^-1/2 columns, but where directions of P are determined by no more than rounding errors of
+    either sign: these are no obstacle to LU, and it takes twice as long.
 
     Raises
     ------
@@ -270,13 +276,12 @@ def _seen_through(precision: Array, columns: Array) -> tuple[Array, float]:
     try:
         factor = cholesky(precision, lower=True, check_finite=False)
     except LinAlgError:
-        solved = np.linalg.solve(precision, columns)
-        return columns.conj().T @ solved, float(np.linalg.slogdet(precision)[1])
+        return columns, np.linalg.solve(precision, columns), float(np.linalg.slogdet(precision)[1])
     half = solve_triangular(factor, columns, lower=True, check_finite=False)
-    return half.conj().T @ half, 2 * float(np.sum(np.log(np.diag(factor).real)))
+    return half, half, 2 * float(np.sum(np.log(np.diag(factor).real)))
 
 
-def _in_units(precision: Array) -> tuple[Array, FloatArray]:
+def in_units(precision: Array) -> tuple[Array, FloatArray]:
     """Return a precision in units in which its diagonal is one, (n, n), and these, (n,)."""
     own = np.diag(precision).real
     unit = 1 / np.sqrt(np.where(own > 0, own, 1.0))

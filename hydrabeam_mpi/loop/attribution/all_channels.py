@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.inference.gaussian import halves, in_units
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.others import Others
 
@@ -44,20 +44,12 @@ class AllChannels:
         """Marginalise a model, all of which is shared, and which comes first in the likelihood of every channel."""
         n, q = len(model.shared), len(by_channel[0].score) - len(model.shared)
         with_prior = model.with_prior_score(by_channel)
-        own = sum(one.information[:n, :n] for one in with_prior) + model.precision[0]
-        diagonal = np.diag(own)
-        unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        across = np.zeros((len(by_channel), n, q + 1))
-        for columns, one in zip(across, with_prior, strict=True):
-            columns[:, :q] = unit[:, np.newaxis] * one.information[:n, n:]
+        own, unit = in_units(sum(one.information[:n, :n] for one in with_prior) + model.precision[0])
         # Each channel's columns meet the score of all.
-        across[:, :, q] = unit * sum(one.score[:n] for one in with_prior)
-        own = unit[:, np.newaxis] * own * unit
-        try:
-            factor = cholesky(own, lower=True, check_finite=False)
-            left = right = np.array([solve_triangular(factor, one, lower=True, check_finite=False) for one in across])
-        except LinAlgError:  # directions that are determined by no more than rounding errors of either sign
-            left, right = across, np.linalg.solve(own, across)
+        score = sum(one.score[:n] for one in with_prior)
+        columns = [np.column_stack([one.information[:n, n:], score]) for one in with_prior]
+        factors = halves(own, unit[:, np.newaxis] * np.hstack(columns))[:2]
+        left, right = (one.reshape(n, len(by_channel), q + 1).swapaxes(0, 1) for one in factors)
         return cls([_without_first(one, n) for one in by_channel], left, right)
 
     def beside(self, columns: IntArray, shared: BoolArray, prior_var: FloatArray, own: IntArray) -> Likelihood:

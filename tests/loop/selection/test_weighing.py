@@ -47,6 +47,17 @@ def weighed(context: FitContext) -> Weighed:
     return weigh(context, refit(context, Values()), [*EFFECTS, factors], [], 6)
 
 
+@pytest.fixture(scope="module")
+def found(context: FitContext, weighed: Weighed) -> tuple[Round, Round]:
+    """A gain, and a coupling after it."""
+    gains, coupling = weighed.together.members
+    first = try_effects(context, check(context, refit(context, Values())), [gains], [])
+    assert first is not None
+    second = try_effects(context, first.after, [coupling], [])
+    assert second is not None
+    return first, second
+
+
 def test_two_effects_together_without_what_stands_for_one_of_them(context: FitContext, weighed: Weighed) -> None:
     assert {one.kind for one in weighed.ranking} == {"antenna_gains", "cross_coupling", "closure_errors"}
     assert [one.kind for one in weighed.together.members] == ["antenna_gains", "cross_coupling"]
@@ -164,15 +175,10 @@ def test_what_is_linear_has_to_come_to_more_than_the_best_with_what_is_beside_it
 
 
 def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best_can_come_to(
-    context: FitContext, weighed: Weighed
+    context: FitContext, weighed: Weighed, found: tuple[Round, Round]
 ) -> None:
     """What has many parameters may explain a gain and a coupling, and so come before either of them."""
-    checked = check(context, refit(context, Values()))
-    gains, coupling = weighed.together.members
-    simpler = try_effects(context, checked, [gains], [])
-    assert simpler is not None
-    both = try_effects(context, simpler.after, [coupling], [])
-    assert both is not None
+    (gains, _), (simpler, both) = weighed.together.members, found
     first, second = simpler.candidate.log_bayes_factor, both.candidate.log_bayes_factor
     assert gains.finding is not None
 
@@ -207,14 +213,11 @@ def test_what_is_simpler_leads_further_if_with_another_it_has_more_than_the_best
     assert outlook.leads_further(weights_candidate(), simpler.after, of_both(60.0)) is None
 
 
-def test_what_is_simpler_stays_the_best_if_with_another_it_comes_to_more(context: FitContext, weighed: Weighed) -> None:
+def test_what_is_simpler_stays_the_best_if_with_another_it_comes_to_more(
+    context: FitContext, weighed: Weighed, found: tuple[Round, Round]
+) -> None:
     """What has many parameters is fitted after a gain, and has more evidence than that has without a coupling."""
-    first = check(context, refit(context, Values()))
-    gains, coupling = weighed.together.members
-    best = try_effects(context, first, [gains], [])
-    assert best is not None
-    both = try_effects(context, best.after, [coupling], [])
-    assert both is not None
+    (gains, _), (best, both) = weighed.together.members, found
     assert gains.finding is not None
     evidence = replace(gains.finding.evidence, effective_parameters=40.0)
     many, second = replace(gains, finding=replace(gains.finding, evidence=evidence)), both.candidate.log_bayes_factor
@@ -238,13 +241,12 @@ def test_what_is_simpler_stays_the_best_if_with_another_it_comes_to_more(context
     assert not is_led(EFFECTS, 0.5 * second, best.after)
 
 
-def test_baselines_are_left_out_only_where_some_are_bad_beside_the_best(context: FitContext, weighed: Weighed) -> None:
-    gains, _ = weighed.together.members
-    best = try_effects(context, check(context, refit(context, Values())), [gains], [])
-    assert best is not None
-    found = weights_candidate(1e9).weights
-    assert found is not None
-    bad = Candidate(BadBaselines.kind, BadBaselines.title, 1e9, weights=replace(found, change=BadBaselines()))
+def test_baselines_are_left_out_only_where_some_are_bad_beside_the_best(
+    context: FitContext, weighed: Weighed, found: tuple[Round, Round]
+) -> None:
+    best, weights = found[0], weights_candidate(1e9).weights
+    assert weights is not None
+    bad = Candidate(BadBaselines.kind, BadBaselines.title, 1e9, weights=replace(weights, change=BadBaselines()))
     assert bad.is_of_unknown
     least = context.problem.job.loop.min_log_bayes_factor
     for beside, is_tried in ((2 * least, True), (0.5 * least, False), (None, False)):
