@@ -206,7 +206,7 @@ class _Steps:
     moving : list of int
         Places of the effects that they are of.
     others : (ndarray, ndarray), optional
-        C and E of the other effects, which those see that see what an effect changes of the sky.
+        C and E of the other effects, where these stay as they are: not where the sky or antennas become others.
     whiteners : dict
         By channel and time, with the weights and the sky for which they are made: no effect need change either.
     """
@@ -223,7 +223,8 @@ class _Steps:
         moving = [place for place, one in enumerate(active) if one.effect.local == local]
         stay = [one for place, one in enumerate(active) if place not in moving and not one.effect.changes_sky]
         with together(context.grid.world):
-            may_stay = not any(active[place].effect.changes_sky for place in moving)
+            effects = [active[place].effect for place in moving]
+            may_stay = not any(one.changes_sky or one.displaces_sky or one.moves_antennas for one in effects)
             return cls(share, moving, share.effects_of(at, stay) if may_stay else None)
 
     def calibrated(self, at: Estimate) -> tuple[Rows, ComplexArray]:

@@ -15,7 +15,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.place import Place
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.moved_antennas import with_moved_antennas
+from hydrabeam_mpi.effects.shared.displacing import with_displacing
 from hydrabeam_mpi.fit.accumulate import designs, mixed
 from hydrabeam_mpi.fit.changed_sky import changed_sky, design_of_each
 from hydrabeam_mpi.fit.kept import Kept
@@ -208,7 +208,7 @@ class RowModel:
             followed=self._followed,
             **data,
         )
-        return with_moved_antennas(block, [(one.effect, one.x[number]) for one in values.active])
+        return with_displacing(block, [(one.effect, one.x[number]) for one in values.active])
 
 
 def _key_of_skies(channel: int, effect: Effect) -> tuple[int, str, str]:

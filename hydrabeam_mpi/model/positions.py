@@ -7,6 +7,7 @@ sources x times is kept but where that is small.
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass
 from typing import Protocol
 
 import erfa
@@ -65,6 +66,27 @@ class Followed:
         if itime not in self._known:
             self._known[itime] = self._positions.above_horizon(itime)
         return self._known[itime]
+
+
+@dataclass(frozen=True)
+class PositionsByTime:
+    """Places of sources that follow another rule at every time.
+
+    Attributes
+    ----------
+    at : dict of int to SourcePositions
+        By index into the observation's times.
+    """
+
+    at: dict[int, SourcePositions]
+
+    def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Find the sources above the horizon, each (Nup,); see `SourcePositions.above_horizon`."""
+        return self.at[itime].above_horizon(itime, below)
+
+    def follow(self, sky: Sky) -> PositionsByTime:
+        """Follow another sky by the same rules."""
+        return PositionsByTime({itime: one.follow(sky) for itime, one in self.at.items()})
 
 
 class ApparentPositions:

@@ -22,7 +22,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.registry import REWEIGHTINGS, SEPARATE, make_cause, make_reweighting
-from hydrabeam_mpi.effects.shared.moved_antennas import with_moved_antennas
+from hydrabeam_mpi.effects.shared.displacing import with_displacing
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
@@ -116,7 +116,7 @@ class Injection:
         """Return C (V + E), (Nfreqs, Ntimes, Nbls)."""
         data = crosses.copy()
         for f in range(len(data)):
-            block = with_moved_antennas(self._scene(pol, f, crosses[f]), [(one, x[f]) for one, x in effects.values()])
+            block = with_displacing(self._scene(pol, f, crosses[f]), [(one, x[f]) for one, x in effects.values()])
             added, factor = np.zeros(block.shape, dtype=complex), np.ones(block.shape, dtype=complex)
             block.integrate_for([effect for effect, _ in effects.values()])
             for number, (effect, x) in effects.items():

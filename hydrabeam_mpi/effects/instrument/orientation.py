@@ -53,6 +53,11 @@ class Orientation(TurningSky):
         self.fixed = fixed
         self.lst = lst
 
+    @property
+    def displaces_sky(self) -> bool:  # type: ignore[override]
+        """Whether the beam sees the sources elsewhere, too."""
+        return self.fixed != "array"
+
     def describe(self) -> dict[str, Any]:
         """Return what the axis is fixed to, and from when it counts."""
         return {"fixed": self.fixed} | ({} if self.lst is None else {"lst": self.lst})

@@ -5,10 +5,10 @@ The data are modelled as
     d = C (A b + E) + n
 
 with A b the visibilities that the beam sees, E what an effect adds and C what it multiplies each visibility with; all
-but b are functions of the effects' real parameters x. Effects that add are summed, each as it is where antennas are by
-those that move them; effects that multiply are multiplied, and effects that change the sky change A. Everything that
-follows works on the calibrated data d/C - E with weights w|C|^2, in which the derivative of the model is dE/dx,
-d ln C/dx (A b + E) or dA/dx b: the *columns* of the effect.
+but b are functions of the effects' real parameters x. Effects that add are summed, each as it is where antennas and
+sources are by those that move them, which do so one after the other; effects that multiply are multiplied, and effects
+that change the sky change A. Everything that follows works on the calibrated data d/C - E with weights w|C|^2, in which
+the derivative of the model is dE/dx, d ln C/dx (A b + E) or dA/dx b: the *columns* of the effect.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.model.positions import SourcePositions
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,8 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
     moves_antennas: bool = False
     """Whether the effect is that antennas are elsewhere, where all others then see the sky; see `displacements`."""
+    displaces_sky: bool = False
+    """Whether the effect is that sources are elsewhere, where all others then see them; see `displaced`."""
     linear: bool = False
     """Whether the data are so nearly linear in the parameters that a fit gains about what the linear model predicts."""
     comes_in_parts: ClassVar[bool] = False
@@ -206,6 +209,13 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         See `moves_antennas`; ``x`` is (n_params,).
         """
         return np.zeros_like(setup.observation.antpos)
+
+    def displaced(self, block: RowBlock, x: FloatArray) -> SourcePositions:
+        """Return where the effect has the sources at a block's times, of which that says where they are without it.
+
+        See `displaces_sky`; ``x`` is (n_params,).
+        """
+        return block.positions
 
     @abstractmethod
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:

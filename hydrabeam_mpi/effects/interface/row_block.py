@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -34,6 +33,9 @@ class RowBlock(SkyBlock):
         Design rows of the groups, (Ntimes, 2, Ngroups, n) or complex (Ntimes, Ngroups, n).
     moved : ndarray, (Nants, 3), optional
         By how much antennas are elsewhere, where effects in the model move them; metres ENU.
+    displacing : sequence of (Effect, ndarray)
+        Effects in the model by which sources are elsewhere, with their parameters: each turns or shifts the sky as the
+        one before has left it.
     """
 
     bls: IntArray
@@ -43,6 +45,8 @@ class RowBlock(SkyBlock):
     vis: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     design: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     moved: FloatArray | None = None
+    displacing: Sequence[tuple[Any, FloatArray]] = ()
+    _seen: dict[tuple[bool, tuple[int, ...]], RowBlock] = field(default_factory=dict, init=False)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -72,19 +76,37 @@ class RowBlock(SkyBlock):
         return replace(self, **rows, integrals={kind: values[now] for kind, values in self.integrals.items()})
 
     def seen_by(self, effect: Any) -> RowBlock:
-        """Return the rows as an effect has them: where antennas are elsewhere, what turns the sky turns it there.
+        """Return the rows as the derivative of an effect has them: antennas and sources are where all others have them.
 
         What moves antennas begins from where they should be, what multiplies has the visibilities as they are, and what
         is about the beam that all share the design as it is.
         """
-        of_design = effect.is_about_the_beam or effect.is_control_model
-        if self.moved is None or effect.moves_antennas or effect.multiplies or of_design:
-            return self
-        return self._where_antennas_are
+        return self._displaced(effect, [one for one, _ in self.displacing if one is not effect])
 
-    @cached_property
+    def _displaced(self, effect: Any, by: Sequence[Any]) -> RowBlock:
+        """Return the rows as an effect has them with the sky displaced by some of those that displace it, in a row."""
+        if effect.multiplies or effect.is_about_the_beam or effect.is_control_model:
+            return self
+        key = self.moved is not None and not effect.moves_antennas, tuple(id(one) for one in by)
+        if key == (False, ()):
+            return self
+        if key not in self._seen:
+            seen = self._with_sky([(one, x) for one, x in self.displacing if id(one) in key[1]])
+            self._seen[key] = seen._where_antennas_are() if key[0] else seen
+        return self._seen[key]
+
+    def _with_sky(self, displacing: Sequence[tuple[Any, FloatArray]]) -> RowBlock:
+        """Return the same rows with the sky displaced by effects, and no more effects that would displace anything."""
+        seen = replace(self, displacing=())
+        for effect, x in displacing:
+            # What is kept of the sky is of other places.
+            kept: dict[str, Any] = {"integrals": {}, "followed": {}, "memo": None, "keeps_waves": False}
+            kept |= {"places": None if self.places is None else {}, "design": np.zeros((0, 0, 0))}
+            seen = replace(seen, positions=effect.displaced(seen, x), **kept)
+        return seen
+
     def _where_antennas_are(self) -> RowBlock:
-        """The same rows, of which those of antennas that are elsewhere are groups of their own, after the others'."""
+        """Return the same rows, those of antennas that are elsewhere as groups of their own, after the others'."""
         assert self.moved is not None
         further = self.moved[self.ant2] - self.moved[self.ant1]
         is_elsewhere = further.any(axis=1)
@@ -107,28 +129,37 @@ class RowBlock(SkyBlock):
         )
 
     def added_by(self, effect: Any, x: FloatArray) -> ComplexArray:
-        """Return what an effect of the model adds, (Ntimes, Nbls)."""
-        return np.asarray(effect.added(self.seen_by(effect), x))
+        """Return what an effect of the model adds, (Ntimes, Nbls).
+
+        Antennas are moved first, then those that displace the sky do so in a row, and all others see what that makes:
+        what each adds to the ones before is added up.
+        """
+        displacing = [one for one, _ in self.displacing]
+        if any(one is effect for one in displacing):
+            displacing = displacing[: [one is effect for one in displacing].index(True)]
+        if effect.moves_antennas:
+            displacing = []
+        return np.asarray(effect.added(self._displaced(effect, displacing), x))
 
     def derivative(self, effect: Any, x: FloatArray) -> Any:
         """Return the columns of an effect, `Columns`, of each baseline where antennas are elsewhere."""
         seen = self.seen_by(effect)
         columns = effect.columns(seen, x)
-        return columns if seen is self else columns.of_rows(seen.member)
+        return columns if seen.groups is self.groups else columns.of_rows(seen.member)
 
     def columns_of(self, effect: Any, x: FloatArray) -> Any:
         """Return the columns of an effect of the model, `Columns`, as A b has them; see `SkyBlock.columns_of`."""
         seen = self.seen_by(effect)
         if seen is self:
             return super().columns_of(effect, x)
-        return seen.columns_of(effect, x).of_rows(seen.member)
+        columns = seen.columns_of(effect, x)
+        return columns if seen.groups is self.groups else columns.of_rows(seen.member)
 
     def integrate_for(self, effects: Sequence[Any]) -> None:
-        """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky for all of a place."""
-        self._integrate_here([one for one in effects if self.seen_by(one) is self])
-        elsewhere = [one for one in effects if self.seen_by(one) is not self]
-        if elsewhere:
-            self._where_antennas_are._integrate_here(elsewhere)
+        """Fill ``integrals`` for those of these effects that they lack, in one pass over each sky that they see."""
+        seen = {id(one): one for one in (self.seen_by(effect) for effect in effects)}
+        for block in seen.values():
+            block._integrate_here([effect for effect in effects if self.seen_by(effect) is block])
 
     def spread(self, by_group: Array) -> Array:
         """Give every baseline what its group has: (Ntimes, Ngroups, ...) to (Ntimes, Nbls, ...)."""

@@ -192,10 +192,15 @@ class TurningSky(Effect):
     """The sky as a whole is turned against the array and its beam."""
 
     shared = True
+    displaces_sky = True
 
     @abstractmethod
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the rotation vectors of the block's times, (Ntimes, 3)."""
+
+    def displaced(self, block: RowBlock, x: FloatArray) -> SourcePositions:
+        """Return the places of the turned sky."""
+        return TurnedPositions(block.positions, dict(zip(block.times.tolist(), self.rotations(block, x), strict=True)))
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Refuse complex beams."""

@@ -23,6 +23,7 @@ from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.correlated_law import Correlated
 from hydrabeam_mpi.effects.shared.nightly_laws import Nightly, Sidereal
 from hydrabeam_mpi.effects.shared.time_laws import LEVEL, Piecewise, Smooth, TimeLaw
+from hydrabeam_mpi.model.positions import PositionsByTime, SourcePositions
 
 LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Sidereal, Nightly, Piecewise, Correlated)}
 """By the names that jobs give them."""
@@ -60,6 +61,7 @@ class InTime(ScannedEffect):
         self.of_both_feeds, self.unphysical = effect.of_both_feeds, effect.unphysical
         self.is_seen_by_beam = effect.is_seen_by_beam
         self.multiplies, self.changes_sky, self.linear = effect.multiplies, effect.changes_sky, effect.linear
+        self.displaces_sky = effect.displaces_sky
 
     def describe(self) -> dict[str, Any]:
         """Return what makes the effect, and the law."""
@@ -179,6 +181,12 @@ class InTime(ScannedEffect):
             return super().added(block, x)
         now = self._at_times(block.setup, x, block.times)
         return np.concatenate([self.effect.added(block.at_time(t), one) for t, one in enumerate(now)])
+
+    def displaced(self, block: RowBlock, x: FloatArray) -> SourcePositions:
+        """Return where sources are by the effect as it is at each of the block's times."""
+        now = self._at_times(block.setup, x, block.times)
+        pairs = enumerate(zip(block.times.tolist(), now, strict=True))
+        return PositionsByTime({time: self.effect.displaced(block.at_time(t), one) for t, (time, one) in pairs})
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return C, (Ntimes, Nbls)."""

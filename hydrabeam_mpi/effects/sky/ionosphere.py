@@ -22,6 +22,7 @@ from hydrabeam_mpi.effects.shared.displaced import ARCMIN, TILTS, TurningSky, ro
 from hydrabeam_mpi.effects.shared.in_time import InTime
 from hydrabeam_mpi.effects.shared.shifted import (
     Path,
+    ShiftedPositions,
     flat_path,
     shell_path,
     shifted_sky,
@@ -29,6 +30,7 @@ from hydrabeam_mpi.effects.shared.shifted import (
     shifting_rates,
 )
 from hydrabeam_mpi.effects.shared.time_laws import Smooth
+from hydrabeam_mpi.model.positions import SourcePositions
 
 Away = Literal["turn", "flat", "shell"]
 PATHS: dict[str, Path] = {"flat": flat_path, "shell": shell_path}
@@ -78,6 +80,13 @@ class Refraction(TurningSky):
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the rotation of each time at the block's frequency, (Ntimes, 3)."""
         return np.asarray(self._shifts(block, x) @ TILTS.T)
+
+    def displaced(self, block: RowBlock, x: FloatArray) -> SourcePositions:
+        """Return the places of the sky that is turned or shifted."""
+        if self.away == "turn":
+            return super().displaced(block, x)
+        shifts = dict(zip(block.times.tolist(), self._shifts(block, x), strict=True))
+        return ShiftedPositions(block.positions, shifts, PATHS[self.away])
 
     def rates_by_shift(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return how visibilities change as the shifts of their times grow by an arcmin, (Ntimes, Ngroups, 2)."""
