@@ -150,7 +150,7 @@ def _later(block: RowBlock, seconds: float) -> RowBlock:
     """Return the block with the sky as it is some seconds later."""
     if not seconds:
         return block
-    return turned_sky(block, np.tile(seconds * turn_per_second(block), (len(block.times), 1)))
+    return turned_sky(block, seconds * turn_per_second(block))
 
 
 def _in_time(block: RowBlock, seconds: float) -> list[tuple[float, float]]:

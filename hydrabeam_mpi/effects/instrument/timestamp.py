@@ -33,7 +33,7 @@ class Timestamp(TurningSky):
         """Return the same rotation for every time, (Ntimes, 3)."""
         return np.tile(x[0] * turn_per_second(block), (len(block.times), 1))
 
-    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+    def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return what turning on about the pole does; the axis does not depend on ``x``, (n_params,)."""
-        values = self.rates(block, x) @ turn_per_second(block)
+        values = self.rates(block) @ turn_per_second(block)
         return Columns(values[..., np.newaxis], 1, by_group=True)

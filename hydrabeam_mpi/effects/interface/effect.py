@@ -217,6 +217,10 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """
         return block.positions
 
+    def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the columns at ``x`` of an effect that displaces the sky, in a block where it has done so."""
+        return self.columns(block, x)
+
     @abstractmethod
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return dE/dx, or d ln C/dx (A b + E), at the parameters ``x``, (n_params,)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ class RowBlock(SkyBlock):
     design: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     moved: FloatArray | None = None
     displacing: Sequence[tuple[Any, FloatArray]] = ()
-    _seen: dict[tuple[bool, tuple[int, ...]], RowBlock] = field(default_factory=dict, init=False)
+    _next: list[tuple[Any, FloatArray, RowBlock]] = field(default_factory=list, init=False)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -76,35 +77,52 @@ class RowBlock(SkyBlock):
         return replace(self, **rows, integrals={kind: values[now] for kind, values in self.integrals.items()})
 
     def seen_by(self, effect: Any) -> RowBlock:
-        """Return the rows as the derivative of an effect has them: antennas and sources are where all others have them.
+        """Return the rows as an effect has them where all that moves antennas and sources has moved them.
 
         What moves antennas begins from where they should be, what multiplies has the visibilities as they are, and what
         is about the beam that all share the design as it is.
         """
-        return self._displaced(effect, [one for one, _ in self.displacing if one is not effect])
+        return self._displaced(effect, len(self.displacing))
 
-    def _displaced(self, effect: Any, by: Sequence[Any]) -> RowBlock:
-        """Return the rows as an effect has them with the sky displaced by some of those that displace it, in a row."""
-        if effect.multiplies or effect.is_about_the_beam or effect.is_control_model:
+    def displaced_by(self, effect: Any, x: FloatArray) -> RowBlock:
+        """Return the same rows with the sky displaced by an effect as well; once for the same parameters."""
+        if not x.any():
             return self
-        key = self.moved is not None and not effect.moves_antennas, tuple(id(one) for one in by)
-        if key == (False, ()):
-            return self
-        if key not in self._seen:
-            seen = self._with_sky([(one, x) for one, x in self.displacing if id(one) in key[1]])
-            self._seen[key] = seen._where_antennas_are() if key[0] else seen
-        return self._seen[key]
-
-    def _with_sky(self, displacing: Sequence[tuple[Any, FloatArray]]) -> RowBlock:
-        """Return the same rows with the sky displaced by effects, and no more effects that would displace anything."""
-        seen = replace(self, displacing=())
-        for effect, x in displacing:
+        for known, at, block in self._next:
+            if known is effect and np.array_equal(at, x):
+                return block
+        seen = replace(
+            self,
+            positions=effect.displaced(self, x),
             # What is kept of the sky is of other places.
-            kept: dict[str, Any] = {"integrals": {}, "followed": {}, "memo": None, "keeps_waves": False}
-            kept |= {"places": None if self.places is None else {}, "design": np.zeros((0, 0, 0))}
-            seen = replace(seen, positions=effect.displaced(seen, x), **kept)
+            integrals={},
+            places=None if self.places is None else {},
+            followed={},
+            memo=None,
+            keeps_waves=False,
+            design=np.zeros((0, 0, 0)),
+            moved=None,
+            displacing=(),
+        )
+        self._next.append((effect, x.copy(), seen))
         return seen
 
+    def _displaced(self, effect: Any, n: int) -> RowBlock:
+        """Return the rows as an effect has them with the sky displaced by the first ``n`` of those that displace it."""
+        if effect.multiplies or effect.is_about_the_beam or effect.is_control_model:
+            return self
+        seen = self
+        if self.moved is not None and not effect.moves_antennas:
+            seen = self._where_antennas_are
+        for one, x in self.displacing[:n]:
+            seen = seen.displaced_by(one, x)
+        return seen
+
+    def _place_of(self, effect: Any) -> int | None:
+        """Return which of those that displace the sky an effect is; None if it is none of them."""
+        return next((place for place, (one, _) in enumerate(self.displacing) if one is effect), None)
+
+    @cached_property
     def _where_antennas_are(self) -> RowBlock:
         """Return the same rows, those of antennas that are elsewhere as groups of their own, after the others'."""
         assert self.moved is not None
@@ -126,6 +144,7 @@ class RowBlock(SkyBlock):
             memo=None,
             keeps_waves=False,
             design=np.zeros((0, 0, 0)),
+            displacing=(),
         )
 
     def added_by(self, effect: Any, x: FloatArray) -> ComplexArray:
@@ -134,17 +153,13 @@ class RowBlock(SkyBlock):
         Antennas are moved first, then those that displace the sky do so in a row, and all others see what that makes:
         what each adds to the ones before is added up.
         """
-        displacing = [one for one, _ in self.displacing]
-        if any(one is effect for one in displacing):
-            displacing = displacing[: [one is effect for one in displacing].index(True)]
-        if effect.moves_antennas:
-            displacing = []
-        return np.asarray(effect.added(self._displaced(effect, displacing), x))
+        place = 0 if effect.moves_antennas else self._place_of(effect)
+        return np.asarray(effect.added(self._displaced(effect, len(self.displacing) if place is None else place), x))
 
     def derivative(self, effect: Any, x: FloatArray) -> Any:
         """Return the columns of an effect, `Columns`, of each baseline where antennas are elsewhere."""
         seen = self.seen_by(effect)
-        columns = effect.columns(seen, x)
+        columns = effect.columns(seen, x) if self._place_of(effect) is None else effect.slopes(seen, x)
         return columns if seen.groups is self.groups else columns.of_rows(seen.member)
 
     def columns_of(self, effect: Any, x: FloatArray) -> Any:
@@ -152,7 +167,7 @@ class RowBlock(SkyBlock):
         seen = self.seen_by(effect)
         if seen is self:
             return super().columns_of(effect, x)
-        columns = seen.columns_of(effect, x)
+        columns = seen.columns_of(effect, x) if self._place_of(effect) is None else effect.slopes(seen, x)
         return columns if seen.groups is self.groups else columns.of_rows(seen.member)
 
     def integrate_for(self, effects: Sequence[Any]) -> None:

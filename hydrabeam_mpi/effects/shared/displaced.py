@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, Array, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
@@ -125,6 +125,8 @@ class TurnedPositions:
         Each is (Nup,).
         """
         rotation = self.rotations[itime]
+        if not rotation.any():
+            return self.positions.above_horizon(itime, below)
         index, za, az = self.positions.above_horizon(itime, below + float(np.linalg.norm(rotation)))
         za, az = angles(rotate(enu(za, az), rotation))
         up = za <= np.pi / 2 + below
@@ -135,15 +137,28 @@ class TurnedPositions:
         return replace(self, positions=self.positions.follow(sky))
 
 
-def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
-    """Return a block of those times whose rotation, a row of (Ntimes, 3), is not zero, with the sky turned.
+def turned_sky(block: RowBlock, rotation: FloatArray) -> RowBlock:
+    """Return the block with the sky turned by a rotation vector, (3,), at all times; only for `RowBlock.integrate`."""
+    positions = TurnedPositions(block.positions, dict.fromkeys(block.times.tolist(), rotation))
+    return replace(block, positions=positions, places=None, keeps_waves=False, followed={})
 
-    Only for `RowBlock.integrate`.
-    """
-    turned = rotations.any(axis=1)
-    times = block.times[turned]
-    positions = TurnedPositions(block.positions, dict(zip(times.tolist(), rotations[turned], strict=True)))
-    return replace(block, times=times, positions=positions, places=None, keeps_waves=False, followed={})
+
+class _BeamAlone:
+    """The visibilities themselves, as blocks keep what is integrated for effects."""
+
+    kind = integrated_as = "the beam alone"
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return the beam, (1, Nsrc)."""
+        return sources.exact_beam[np.newaxis]
+
+
+def added_by_displacing(effect: Effect, block: RowBlock, x: FloatArray) -> ComplexArray:
+    """Return the visibilities of the sky that an effect displaces minus those of the sky as it is, (Ntimes, Nbls)."""
+    if not x.any():
+        return np.zeros(block.shape, dtype=complex)
+    after = block.displaced_by(effect, x)
+    return block.spread((after.integral(_BeamAlone()) - block.integral(_BeamAlone()))[..., 0])
 
 
 def turn_per_second(block: RowBlock) -> FloatArray:
@@ -154,13 +169,8 @@ def turn_per_second(block: RowBlock) -> FloatArray:
 
 def turning_columns(sources: Sources) -> FloatArray:
     """Return the beam, the beam times the unit vector, and the torque of the beam's slope, (7, Nsrc)."""
-    beam = _exact_beam(sources)
+    beam = sources.exact_beam[np.newaxis]
     return np.concatenate([beam, beam * sources.enu, sources.torque])
-
-
-def _exact_beam(sources: Sources) -> FloatArray:
-    """Return the beam, (1, Nsrc)."""
-    return sources.exact_beam[np.newaxis]
 
 
 def turning_rates(block: RowBlock, moments: ComplexArray) -> ComplexArray:
@@ -210,29 +220,26 @@ class TurningSky(Effect):
         """Return the `turning_columns`, (7, Nsrc)."""
         return turning_columns(sources)
 
-    def rates(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return how visibilities change as the sky, turned by ``x``, turns further about east, north and up.
+    @property
+    def integrated_as(self) -> str:
+        """The name of what all that turns the sky needs."""
+        return "turned sky"
 
-        Returns
-        -------
-        ndarray of complex, (Ntimes, Ngroups, 3)
-            Jy per radian.
+    def rates(self, block: RowBlock) -> ComplexArray:
+        """Return how visibilities change as the sky turns further about east, north and up, Jy per radian.
+
+        The result is (Ntimes, Ngroups, 3).
         """
-        rotations = self.rotations(block, x)
-        turned = rotations.any(axis=1)
-        moments = np.zeros((len(block.times), len(block.groups), 7), dtype=complex)
-        if turned.any():
-            moments[turned] = turned_sky(block, rotations).integrate(self.sky_columns)
-        if not turned.all():
-            moments[~turned] = block.integral(self)[~turned]
-        return turning_rates(block, moments)
+        return turning_rates(block, block.integral(self))
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return the visibilities of the turned sky minus those of the sky as it is, (Ntimes, Nbls)."""
-        rotations = self.rotations(block, x)
-        turned = rotations.any(axis=1)
-        change = np.zeros((len(block.times), len(block.groups)), dtype=complex)
-        if turned.any():
-            after = turned_sky(block, rotations).integrate(_exact_beam)
-            change[turned] = (after - block.integrate(_exact_beam)[turned])[..., 0]
-        return block.spread(change)
+        return added_by_displacing(self, block, x)
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return what turning it further does."""
+        return self.slopes(block.displaced_by(self, x), x)
+
+    @abstractmethod
+    def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the columns in a block whose sky is turned by ``x``, (n_params,)."""

@@ -21,6 +21,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.correlated_law import Correlated
+from hydrabeam_mpi.effects.shared.displaced import added_by_displacing
 from hydrabeam_mpi.effects.shared.nightly_laws import Nightly, Sidereal
 from hydrabeam_mpi.effects.shared.time_laws import LEVEL, Piecewise, Smooth, TimeLaw
 from hydrabeam_mpi.model.positions import PositionsByTime, SourcePositions
@@ -159,6 +160,10 @@ class InTime(ScannedEffect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the effect's own columns times the functions; ``x`` is (n_params,)."""
+        return self.slopes(block.displaced_by(self, x) if self.displaces_sky else block, x)
+
+    def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the columns where an effect that displaces the sky has done so; ``x`` is (n_params,)."""
         own = self._own_columns(block, x)
         functions = self._functions(block.setup)[block.times]
         n = functions.shape[1]
@@ -179,6 +184,8 @@ class InTime(ScannedEffect):
         """Return E, (Ntimes, Nbls)."""
         if self.multiplies or self.linear:
             return super().added(block, x)
+        if self.displaces_sky:
+            return added_by_displacing(self, block, x)
         now = self._at_times(block.setup, x, block.times)
         return np.concatenate([self.effect.added(block.at_time(t), one) for t, one in enumerate(now)])
 
@@ -338,8 +345,12 @@ class InTime(ScannedEffect):
         if self.linear or x is None or not x.any():
             own = self.effect.columns(block, np.zeros(n))
         else:
+            if self.displaces_sky:
+                # Once for all times, of which each has its part.
+                block.integral(self)
             now = self._at_times(block.setup, x, block.times)
-            parts = [self.effect.columns(block.at_time(t), one) for t, one in enumerate(now)]
+            columns = self.effect.slopes if self.displaces_sky else self.effect.columns
+            parts = [columns(block.at_time(t), one) for t, one in enumerate(now)]
             own = replace(parts[0], values=np.concatenate([part.values for part in parts]))
         if not len(common):
             return own

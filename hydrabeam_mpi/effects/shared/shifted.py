@@ -62,6 +62,8 @@ class ShiftedPositions:
         Each is (Nup,).
         """
         index, za, az = self.positions.above_horizon(itime, below)
+        if not self.shifts[itime].any():
+            return index, za, az
         vectors = enu(za, az)
         vectors[:2] += self.path(vectors[2]) * self.shifts[itime][:, np.newaxis]
         left = 1 - vectors[0] ** 2 - vectors[1] ** 2
@@ -72,17 +74,6 @@ class ShiftedPositions:
     def follow(self, sky: Sky) -> ShiftedPositions:
         """Follow another sky, shifted alike."""
         return replace(self, positions=self.positions.follow(sky))
-
-
-def shifted_sky(block: RowBlock, shifts: FloatArray, path: Path) -> RowBlock:
-    """Return a block of those times whose shift, a row of (Ntimes, 2), is not zero, with the sky shifted.
-
-    Only for `RowBlock.integrate`.
-    """
-    moved = shifts.any(axis=1)
-    times = block.times[moved]
-    positions = ShiftedPositions(block.positions, dict(zip(times.tolist(), shifts[moved], strict=True)), path)
-    return replace(block, times=times, positions=positions, places=None, keeps_waves=False, followed={})
 
 
 def shifting_columns(sources: Sources, path: Path) -> FloatArray:

@@ -25,7 +25,6 @@ from hydrabeam_mpi.effects.shared.shifted import (
     ShiftedPositions,
     flat_path,
     shell_path,
-    shifted_sky,
     shifting_columns,
     shifting_rates,
 )
@@ -75,7 +74,7 @@ class Refraction(TurningSky):
     @property
     def integrated_as(self) -> str:
         """The name of what its way of shifting needs."""
-        return f"{self.kind} {self.away}"
+        return super().integrated_as if self.away == "turn" else f"{self.away} shift of the sky"
 
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the rotation of each time at the block's frequency, (Ntimes, 3)."""
@@ -89,28 +88,15 @@ class Refraction(TurningSky):
         return ShiftedPositions(block.positions, shifts, PATHS[self.away])
 
     def rates_by_shift(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return how visibilities change as the shifts of their times grow by an arcmin, (Ntimes, Ngroups, 2)."""
-        if self.away == "turn":
-            turns = np.array([rotation_rate(rotation) @ TILTS for rotation in self.rotations(block, x)])
-            rates = self.rates(block, x) @ turns
-        else:
-            moments, shifts = block.integral(self), self._shifts(block, x)
-            if (moved := shifts.any(axis=1)).any():
-                moments = moments.copy()
-                moments[moved] = shifted_sky(block, shifts, PATHS[self.away]).integrate(self.sky_columns)
-            rates = shifting_rates(block, moments)
-        return np.asarray(self._per_arcmin(block) * rates)
+        """Return how visibilities change as the shifts of their times grow by an arcmin, (Ntimes, Ngroups, 2).
 
-    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return the visibilities of the shifted sky minus those of the sky as it is, (Ntimes, Nbls)."""
+        The block's sky is shifted by ``x``.
+        """
         if self.away == "turn":
-            return super().added(block, x)
-        shifts = self._shifts(block, x)
-        moved, change = shifts.any(axis=1), np.zeros((len(block.times), len(block.groups)), dtype=complex)
-        if moved.any():
-            after = shifted_sky(block, shifts, PATHS[self.away]).integrate(lambda one: one.exact_beam[np.newaxis])
-            change[moved] = after[..., 0] - block.integral(self)[moved, :, 0]
-        return block.spread(change)
+            rates = self.rates(block) @ np.array([rotation_rate(one) @ TILTS for one in self.rotations(block, x)])
+        else:
+            rates = shifting_rates(block, block.integral(self))
+        return np.asarray(self._per_arcmin(block) * rates)
 
     def _shifts(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the shifts of each time at the block's frequency, radians at the zenith, (Ntimes, 2)."""
@@ -156,7 +142,7 @@ class Ionosphere(Refraction):
         """Return the shifts of each of the block's times, (Ntimes, 2)."""
         return x.reshape(-1, 2)[block.places_in_time]
 
-    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+    def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return what small further shifts of a time do to it; ``x`` is (n_params,)."""
         index = 2 * block.places_in_time[:, np.newaxis, np.newaxis] + np.arange(2)
         return Columns(self.rates_by_shift(block, x), 2 * len(block.setup.times), index, by_group=True)
@@ -176,7 +162,7 @@ class SteadyRefraction(Refraction):
         """Return the shifts of each of the block's times, (Ntimes, 2)."""
         return np.tile(x, (len(block.times), 1))
 
-    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+    def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return what small further shifts do, (Ntimes, Ngroups, 2); ``x`` is (n_params,)."""
         return Columns(self.rates_by_shift(block, x), 2, by_group=True)
 

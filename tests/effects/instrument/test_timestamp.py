@@ -52,4 +52,4 @@ def test_places_that_are_kept_are_not_mistaken_for_turned_ones() -> None:
     block.integrate_for([effect])
     assert len(block.places) == len(block.times)
     assert_same(effect.added(block, np.array([60.0])), change, block, rtol=1e-12)
-    assert_same(block.spread(block.integrals["timestamp"])[..., 0], block.vis, block)
+    assert_same(block.spread(block.integrals[effect.integrated_as])[..., 0], block.vis, block)
