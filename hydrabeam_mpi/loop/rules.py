@@ -28,7 +28,11 @@ class Rules:
         An effect with less than this fraction of the best one's ln evidence is not fitted beside it. A fit can raise
         the evidence of what is not linear, such as a source beside its place, several times; that of linear effects
         changes as far as the beam moves with them. Nothing is lost: what is left out is weighed again a round later. So
-        it is with widths of the beam's prior, which gain some times what they promise.
+        it is with widths of the beam's prior, which gain some times what they promise. And several effects are fitted
+        as one that together leave less than this fraction of what the best one leaves by itself.
+    not_linear : float
+        Fraction of all that a set explains below which its weakest may be what others have that is not linear: half
+        the square of a phase of 0.1 rad is five thousandths. Such sets are fitted without these as well.
     most_columns : int
         Parameters at most, of all candidates, that are weighed together. The products of n columns take n^2 / 2 times
         as many sums as there are rows; six hundred take no longer than weighing each effect by itself.
@@ -59,6 +63,7 @@ class Rules:
     most_known: int = 512
     near: float = 0.1
     near_if_linear: float = 0.7
+    not_linear: float = 0.005
     element_nats: float = 4.0
     decided_sigmas: float = 2.0
     no_worse: float = 1.0

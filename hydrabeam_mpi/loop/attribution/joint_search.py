@@ -242,10 +242,10 @@ def search(joint: JointLikelihood, least: float) -> JointSet:
     It begins with each effect that comes near the best one by itself. One that stands for several is followed by others
     that make up for what it lacks, and no exchange of one of these at a time leads out of that. Those that lead to
     simpler sets are told as well: what strong effects have that is not linear, some thousandths of their evidence, what
-    has more parameters takes up. There is no set if a control model is wanted beside the effects, whichever is the
-    first: then none of these is what it says.
+    has more parameters takes up. A set ends where a control model is wanted beside its effects: what they leave is
+    then none of the others, or is not linear.
     """
-    begun = [one for first in _firsts(joint, least) if (one := _begun(joint, first, least)) is not None]
+    begun = [_begun(joint, first, least) for first in _firsts(joint, least)]
     if not begun:
         return JointSet()
     (state, total), *others = sorted(begun, key=lambda one: -one[1])
@@ -299,12 +299,9 @@ def _firsts(joint: JointLikelihood, least: float) -> list[State]:
     return [{i: found[i]} for i in sorted(near, key=lambda i: -found[i].log_bayes_factor)]
 
 
-def _begun(joint: JointLikelihood, first: State, least: float) -> tuple[State, float] | None:
-    """Return the set that a first effect leads to, with its ln evidence; None where it leads to a control model."""
-    state = _added(joint, first, (), least)
-    if any(joint.competitors[i].is_control for i in state):
-        return None
-    state = _settled(joint, state)
+def _begun(joint: JointLikelihood, first: State, least: float) -> tuple[State, float]:
+    """Return the set that a first effect leads to, with its ln evidence."""
+    state = _settled(joint, _added(joint, first, (), least))
     return state, _of_all(joint, state)
 
 
@@ -324,13 +321,12 @@ def _of_all(joint: JointLikelihood, state: State) -> float:
 def _added(joint: JointLikelihood, state: State, banned: Collection[int], least: float) -> State:
     """Add effects one by one, the one with the most evidence beside those of the set first, up to a control model."""
     free = _free(joint, state, banned)
-    while not any(joint.competitors[i].is_control for i in state):
+    while True:
         # What has no evidence beside some effects hardly has it beside more.
         best, free = joint.foremost(state, free, least)
-        if not best:
-            break
+        if not best or any(joint.competitors[i].is_control for i in best):
+            return state
         state = {**state, **best}
-    return state
 
 
 def _settled(joint: JointLikelihood, state: State) -> State:
@@ -354,8 +350,6 @@ def _exchanged(joint: JointLikelihood, state: State, least: float) -> State | No
         rest = _without(state, i)
         own = joint.worth(state, i)
         instead = _added(joint, rest, (i,), least)
-        if any(joint.competitors[j].is_control for j in instead):
-            continue
         # Of those that were added, the evidence that each had when it was.
         if sum(one.log_bayes_factor for j, one in instead.items() if j not in rest) > own + LEAST_GAIN:
             return instead

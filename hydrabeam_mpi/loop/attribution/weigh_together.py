@@ -23,6 +23,7 @@ from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelih
 from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 
 
@@ -89,9 +90,17 @@ def weigh_together(
             joint = JointLikelihood(by_channel, model, competitors, alone)
             # No set leaves less. An effect that explains no more than a set leaves is not told, nor looked for.
             left = limits.left.chi2 - joint.most_gain() - limits.left.free
-            found = _told(picked, search(joint, max(least, left)), findings, *limits.left)
+            found = _told(picked, with_strong_alone(joint, max(least, left)), findings, *limits.left)
     result: TogetherFound = bcast_object(context.grid.world, found)
     return result
+
+
+def with_strong_alone(joint: JointLikelihood, least: float) -> JointSet:
+    """Search for a set, and for one of effects that are too strong to be what others have that is not linear."""
+    every, strong = search(joint, least), search(joint, max(least, RULES.not_linear * joint.most_gain()))
+    if set(strong.order) == set(every.order):
+        return every
+    return replace(every, simpler=(*every.simpler, strong))
 
 
 def _competitor(context: FitContext, fitted: Fitted, one: Finding, which: IntArray) -> Competitor:

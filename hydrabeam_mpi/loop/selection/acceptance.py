@@ -278,9 +278,9 @@ def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: f
 
     The next step may raise ln(likelihood x prior), which was ``start`` without the effect, by some times what the
     linear model expects of it, as in `may_be_better`. Where no parameters are ``nonlinear``, of which the linear model
-    knows nothing before the effect has a size, it is also told by how what that model expects of the end has changed on
-    the way so far: over all of the way by no more than with the square of it. From either goes what the freedom of the
-    parameters costs, as weighed before the fit unless the fit says.
+    knows nothing before the effect has a size, it is also told by how what that model expects of the end has risen on
+    the way so far: on the rest of it, the root of what is left to gain, by no more in proportion. From either goes what
+    the freedom of the parameters costs, as weighed before the fit unless the fit says.
     """
     assert candidate.finding is not None
     evidence, near = candidate.finding.evidence, RULES.near
@@ -289,7 +289,8 @@ def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: f
     risen, first, now = at.reached - start, *(one - start for one in at.foreseen)
     most = risen + at.expected / near
     if not nonlinear and risen > 0 and first != now:
-        most = min(most, now if now < first else first + (now - first) * (now / risen) ** 2)
+        rest = np.sqrt(max(now - risen, 0.0) / max(now, risen))
+        most = min(most, now + max(now - first, 0.0) * rest / (1 - rest) if rest < 1 else np.inf)
     price = evidence.linear_gain - evidence.log_bayes_factor if at.price is None else at.price
     return most - price > least
 

@@ -95,8 +95,13 @@ class Weighed:
     @property
     def most_of_effects(self) -> float:
         """The log Bayes factor of the set, or of the effect that has the most by itself where that is more."""
+        return max(self.together.log_bayes_factor, self.most_by_itself)
+
+    @property
+    def most_by_itself(self) -> float:
+        """The log Bayes factor of the effect that has the most by itself."""
         effects = (one for one in self.ranking if one.finding is not None and not one.is_control)
-        return max(self.together.log_bayes_factor, *(one.log_bayes_factor for one in effects), 0.0)
+        return max((one.log_bayes_factor for one in effects), default=0.0)
 
 
 @dataclass

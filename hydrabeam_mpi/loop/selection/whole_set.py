@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import left_of
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.step import solved_at
@@ -43,13 +44,16 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     What a set has beyond the effects of the best, and what was refused in a set before, is left to the next round, in
     which it is looked for beside the best.
 
-    Of a set that leaves more than noise those alone are fitted that none of the others stands for. There are no rounds
-    where none holds. Collective: all ranks of the grid.
+    Of a set that leaves more than noise, and not far less than the best effect by itself, those alone are fitted that
+    none of the others stands for. There are no rounds where none holds. Collective: all ranks of the grid.
     """
     best: tuple[Round, ...] = ()
     sets = (weighed.together, *weighed.simpler)
     if not weighed.explains:
-        sets = (weighed.with_drift, *(_that_none_stands_for(one, weighed) for one in sets))
+        above = left_of(context, checked.fitted).above_noise
+        leaves_little = [above - one.log_bayes_factor < RULES.near * (above - weighed.most_by_itself) for one in sets]
+        pairs = zip(sets, leaves_little, strict=True)
+        sets = (weighed.with_drift, *(one if little else _that_none_stands_for(one, weighed) for one, little in pairs))
     for of_set in sorted(sets, key=lambda one: one.n_parameters):
         one = of_set.without({candidate.name for candidate, _ in tried})
         if best and best[-1].after.remains.consistent:

@@ -15,6 +15,7 @@ from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import price_of
 from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, State, search
 from hydrabeam_mpi.loop.attribution.others import Others
+from hydrabeam_mpi.loop.attribution.weigh_together import with_strong_alone
 from hydrabeam_mpi.random import generator
 
 N_DATA, LEAST = 200, 5.0
@@ -135,12 +136,26 @@ def test_no_set_raises_the_likelihood_by_more_than_all_parameters_do(stand_in: D
     assert few < every < most
 
 
-def test_there_is_no_set_where_a_control_model_is_wanted_beside_the_effects(stand_in: Data) -> None:
+def test_a_set_ends_where_a_control_model_is_wanted_beside_its_effects(stand_in: Data) -> None:
     one, two = stand_in.competitors[0], replace(stand_in.competitors[3], is_control=True)
     joint = replace(stand_in.joint, competitors=[one, *stand_in.competitors[1:3], two])
-    assert search(joint, LEAST) == JointSet()
+    assert search(joint, LEAST).order == (1,)
+    assert joint.weigh(joint.weigh({}, [1]), [3])[3].log_bayes_factor > LEAST
     not_wanted = [one, stand_in.competitors[1], replace(stand_in.competitors[2], is_control=True), one]
     assert set(search(replace(stand_in.joint, competitors=not_wanted), LEAST).order) == {0, 3}
+
+
+def test_strong_effects_are_told_without_what_may_be_of_them_that_is_not_linear() -> None:
+    columns = [draw(N_DATA, 1, seed=seed) for seed in range(20, 24)]
+    truth = np.concatenate(columns, axis=1) @ [30.0, -20.0, 0.9, 0.0]
+    found = with_strong_alone(Data(columns, [competitor(1)] * 4, [truth]).joint, LEAST)
+    assert found.order == (0, 1, 2)
+    assert [one.order for one in found.simpler] == [(0, 1)]
+    # Where all are strong there is one set.
+    truth = np.concatenate(columns, axis=1) @ [30.0, -20.0, 9.0, 0.0]
+    found = with_strong_alone(Data(columns, [competitor(1)] * 4, [truth]).joint, LEAST)
+    assert found.order == (0, 1, 2)
+    assert found.simpler == ()
 
 
 def test_nothing_is_found_in_noise() -> None:

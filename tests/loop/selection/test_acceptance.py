@@ -149,6 +149,8 @@ UNDERWAY = [
     ("once what is expected of the end falls, no more", POSITIONS, (100.0, 800.0, 1000.0, 990.0), False, False),
     ("where it rises by so much on a part of the way", POSITIONS, (100.0, 890.0, 980.0, 990.0), False, True),
     ("where it rises by as much on more of the way", POSITIONS, (800.0, 190.0, 980.0, 990.0), False, False),
+    ("near the end where all of the rise was to come from little", POSITIONS, (996.8, 3.1, 992.0, 999.9), False, True),
+    ("and where that is not enough", POSITIONS, (996.8, 3.1, 999.0, 999.9), False, False),
     ("not so of places, which have no size before", POSITIONS, (100.0, 800.0, 1000.0, 990.0), True, True),
     ("a linear one as far as the beam goes with it", effect_candidate(AntennaGains(), 900.0),
      (0.0, 699.0, 1000.0, 1000.0), False, False),

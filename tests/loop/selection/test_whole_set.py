@@ -320,6 +320,14 @@ def test_of_a_set_that_leaves_more_than_noise_those_are_fitted_that_none_stands_
         together = replace(weighed.together, members=(left, coupling))
         assert len(try_set(context, before, replace(weighed, together=together, explains=False), [])) == n
         assert len(try_set(context, before, replace(weighed, together=together), [])) == 2
+    # Where no effect by itself comes near what all of them explain, they are fitted all the same.
+    weak = tuple(replace(one, log_bayes_factor=0.1 * one.log_bayes_factor) for one in weighed.ranking)
+    left = replace(gains, log_bayes_factor=0.05 * alone.log_bayes_factor)
+    together = replace(weighed.together, members=(left, coupling))
+    far = replace(weighed, ranking=weak, together=together, explains=False)
+    assert len(try_set(context, before, far, [])) == 2
+    left_more = replace(together, log_bayes_factor=0.5 * together.log_bayes_factor)
+    assert len(try_set(context, before, replace(far, together=left_more), [])) == 0
 
 
 def test_what_explains_nothing_without_another_comes_after_it(tmp_path: Path) -> None:
