@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from astropy.time import Time
 from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
+
+from tests.validation.undeclared.setting import LOCATION
 
 FloatArray = NDArray[np.float64]
 Found = dict[tuple[str, str], tuple[float, float]]
@@ -20,6 +23,8 @@ ENOUGH = 0.95
 SAME_PLACE_DEG = 1.0
 ORDERS = {"level": 0, "drift from first to last time": 1, "curvature, ends less middle": 2}
 """Of polynomials with a name of their own."""
+HERE, AMONG_STARS = ("East", "North", "Up"), ("RA 0 h, Dec 0", "RA 6 h, Dec 0", "the North pole")
+"""Axes about which things are turned."""
 NOT_FOUND = 99.0
 """Deviation that stands for a thing that is there and was not found."""
 
@@ -256,10 +261,33 @@ def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
 
 
 def read_turns(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read what is turned about which axes; whether beams are turned with the sky is a matter of their prior."""
-    told = {name.replace(", but not on the beam, ", " "): pair for name, pair in averaged(parameters).items()}
-    names = {name: tuple(name.split(" turned about ")) for name in told if " turned about " in name}
-    return {(thing, f"turned about {axis}"): told[name] for name, (thing, axis) in names.items()}
+    """Read what is turned about which axes, those here or those among the stars in the middle of the data.
+
+    Few minutes do not tell these, nor whether beams are turned with the sky, which is a matter of their prior.
+    """
+    found, true_axes = Found(), [quantity for _, quantity in truth]
+    named = [(re.search(r"turned.* about (.+)", name), pair) for name, pair in averaged(parameters).items()]
+    by_axis = {match[1]: pair for match, pair in named if match}
+    for axes, into in ((HERE, AMONG_STARS), (AMONG_STARS, HERE)):
+        if all(f"turned about {axis}" in true_axes for axis in into) and all(axis in by_axis for axis in axes):
+            turn = _from_stars(answer) if into is HERE else _from_stars(answer).T
+            value, std = np.array([by_axis[axis] for axis in axes]).T
+            pairs = zip(turn @ value, np.sqrt(turn**2 @ std**2), strict=True)
+            by_axis = {axis: (float(one), float(error)) for axis, (one, error) in zip(into, pairs, strict=True)}
+            break
+    for thing, quantity in truth:
+        if quantity.removeprefix("turned about ") in by_axis:
+            found[thing, quantity] = by_axis[quantity.removeprefix("turned about ")]
+    return found
+
+
+def _from_stars(answer: dict[str, Any]) -> NDArray[np.float64]:
+    """Return the matrix that takes vectors of the equator to East, North and Up in the middle of the data, (3, 3)."""
+    middle = Time(np.mean(answer["times"]), format="jd")
+    lst, lat = middle.sidereal_time("apparent", LOCATION.lon).rad, LOCATION.lat.rad
+    north = [-np.sin(lat) * np.cos(lst), -np.sin(lat) * np.sin(lst), np.cos(lat)]
+    up = [np.cos(lat) * np.cos(lst), np.cos(lat) * np.sin(lst), np.sin(lat)]
+    return np.array([[-np.sin(lst), np.cos(lst), 0.0], north, up])
 
 
 def read_lengths(

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from astropy.time import Time
 
-from tests.validation.undeclared.match import compare
+from tests.validation.undeclared.match import AMONG_STARS, HERE, _from_stars, compare
 from tests.validation.undeclared.score import score
+from tests.validation.undeclared.setting import LOCATION
 
 
 def answer(case="antenna_gains", parameters=(), where=None, **changes):
@@ -225,3 +227,28 @@ def test_noise_scales_of_antennas_are_relative_to_that_of_all():
     truth = [("antenna 3", "noise scale", "", 1.44), ("antenna 4", "noise scale", "", 1.0)]
     found = [("noise scale", 1.2, 0.01), ("antenna 3 noise scale", 1.2, 0.01), ("antenna 4 noise scale", 1 / 1.2, 0.01)]
     np.testing.assert_allclose(z_of("noise_level", truth, found), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("of_stars", [True, False])
+def test_turns_about_axes_here_are_turns_about_those_among_the_stars(of_stars):
+    """At a sidereal time of zero the first axis is towards the meridian, and the second towards East."""
+    noon = Time(2459122.0, format="jd").sidereal_time("apparent", LOCATION.lon).hour
+    middle = 2459122.0 + (24 - noon) / 24.0657098
+    given = answer("orientation", times=[middle - 0.001, middle + 0.001])
+    turn = _from_stars(given)
+    latitude = LOCATION.lat.rad
+    np.testing.assert_allclose(turn @ [0, 1, 0], [1, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(turn @ [0, 0, 1], [0, np.cos(latitude), np.sin(latitude)], atol=1e-12)
+    among, here = np.array([3.0, -2.0, 5.0]), turn @ [3.0, -2.0, 5.0]
+    truth, told = (among, here) if of_stars else (here, among)
+    axes, told_axes = (AMONG_STARS, HERE) if of_stars else (HERE, AMONG_STARS)
+    given["effects"][0]["parameters"] = [
+        {"thing": "stars" if of_stars else "sky", "quantity": f"turned about {axis}", "unit": "arcmin", "value": value}
+        for axis, value in zip(axes, truth, strict=True)
+    ]
+    things = ("sky turned, but not on the beam,", "stars turned")
+    names = [f"{things[not of_stars]} about {axis}" for axis in told_axes]
+    found = a_round("orientation", [(name, value, 0.1) for name, value in zip(names, told, strict=True)])
+    compared = compare(given["effects"][0], found, given)
+    assert len(compared.z) == 3
+    np.testing.assert_allclose(compared.z, 0, atol=1e-9)
