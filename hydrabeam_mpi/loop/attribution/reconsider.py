@@ -61,6 +61,24 @@ class Known:
         by_channel = gather_items(context.grid.world, found)
         return cls(active, None if by_channel is None else list(by_channel.values()))
 
+    def without(self, context: FitContext, place: int) -> Known:
+        """Return what would be known without one of the effects, to first order; see `of_one` for places and the like.
+
+        Serial.
+        """
+        active, gone = (*self.active[:place], *self.active[place + 1 :]), self.active[place]
+        if self.by_channel is None:
+            return Known(active, None)
+        start = sum(one.x.shape[1] for one in self.active[:place])
+        own = np.arange(start, start + gone.x.shape[1])
+        linear, found = ~gone.effect.parameters(context.setup).nonlinear, []
+        for number, one in enumerate(self.by_channel):
+            score = one.score + one.information[:, own] @ np.where(linear, gone.x[number], 0.0)
+            rest = (np.delete(np.delete(matrix, own, 0), own, 1) for matrix in (one.information, one.signal))
+            information, signal = rest
+            found.append(Likelihood(information, np.delete(score, own), signal))
+        return Known(active, found)
+
     def of_one(self, context: FitContext, place: int) -> list[Likelihood]:
         """Return what each channel says of one effect, around zero, after those parameters of the others in use.
 

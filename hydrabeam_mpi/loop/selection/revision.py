@@ -14,6 +14,7 @@ from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_anew, is_same_prior, restarted, rise
@@ -78,7 +79,34 @@ def reweigh(context: FitContext, fitted: Fitted, places: Sequence[int], newest: 
     """
     known = Known.of(context, fitted)
     weighed = [_weigh_again(context, fitted, known, place, place == newest) for place in places]
-    return revised_as_far_as_better(context, fitted, [one for one in weighed if one is not None], 0.0)
+    found = revised_as_far_as_better(context, fitted, [one for one in weighed if one is not None], 0.0)
+    return found or _taken_over(context, fitted, known, [place for place in places if place != newest])
+
+
+def _taken_over(context: FitContext, fitted: Fitted, known: Known, places: Sequence[int]) -> Reweighed | None:
+    """Let one effect of the model explain what another does, by what is not in use of it, if that has more evidence.
+
+    Beside the other it has no use for more: a level of refraction is that, or an array that is turned besides.
+    Collective: all ranks of the grid.
+    """
+    active, found = fitted.values.active, list[tuple[float, list[Revision]]]()
+    for gone in places:
+        _, own = compare_priors(context, fitted, known, gone, active[gone].prior_var(context.setup))
+        rest = known.without(context, gone)
+        for other in places:
+            if other == gone or not active[other].size < active[other].x.shape[1] <= RULES.most_columns:
+                continue
+            now = active[other].prior_var(context.setup)
+            best, present = compare_priors(context, fitted, rest, other - (other > gone), now)
+            more = best.log_bayes_factor - present.log_bayes_factor - own.log_bayes_factor
+            if more > 0:
+                gain = more + own.log_bayes_factor - best.linear_gain + present.linear_gain
+                found.append((more, [Revision(other, best, gain), Revision.left_out(gone, own)]))
+    for _, revisions in sorted(found, key=lambda one: -one[0]):
+        again = _with_revisions(context, fitted, revisions, 0.0)
+        if again is not None:
+            return again
+    return None
 
 
 def revised_as_far_as_better(
@@ -208,7 +236,8 @@ def _told(active: Active, revision: Revision) -> str:
         return f"{active.effect.title}: taken back, as the model is {how} without it"
     if revision.unchanging is not None:
         return f"{active.effect.title}: {revision.unchanging[0].title}, as the model is better without what changes"
-    stay = np.intersect1d(active.used, np.flatnonzero(revision.new.prior_var))
-    n_used = len(active.used)
+    wanted = np.flatnonzero(revision.new.prior_var)
+    stay, n_used = np.intersect1d(active.used, wanted), len(active.used)
     width = "its prior is re-estimated" if len(stay) == n_used else f"{len(stay)} of {n_used} parameters stay"
-    return f"{active.effect.title}: {width}"
+    more = f", with {len(wanted) - len(stay)} more" if len(wanted) > len(stay) else ""
+    return f"{active.effect.title}: {width}{more}"

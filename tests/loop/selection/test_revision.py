@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.registry import make_effect
@@ -17,7 +18,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.revision import Revision, revise, revised_as_far_as_better
+from hydrabeam_mpi.loop.selection.revision import Revision, revise, revised_as_far_as_better, reweigh
 from hydrabeam_mpi.loop.selection.taken_back import take_back_faint
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
@@ -100,6 +101,25 @@ def test_a_single_effect_is_weighed_again_after_a_change_of_the_weights_only(con
     last, places = revise(context, round_with(context, COUPLING, newest=None), 0)
     assert places == {0: None}
     assert last.after.fitted.values.active == ()
+
+
+def test_what_an_effect_has_not_in_use_takes_the_place_of_another(context: FitContext) -> None:
+    """A gain whose phase was told as factors of all baselines of its antenna."""
+    factors = ClosureErrors([pair for pair in context.setup.observation.antpairs.tolist() if 2 in pair])
+    names = GAINS.parameters(context.setup).names
+    amplitude = np.where(np.array(names) == "antenna 2 ln amplitude", 0.05**2, 0.0)
+    n = len(factors.parameters(context.setup))
+    active = (
+        Active.start(GAINS, context.setup, amplitude, np.zeros((1, 14))),
+        Active.start(factors, context.setup, np.full(n, 0.05**2), np.zeros((1, n))),
+    )
+    fitted, told = refit(context, Values(active)), list[str]()
+    while (found := reweigh(context, fitted, range(len(fitted.values.active)))) is not None:
+        fitted, told = found.fitted, [*told, *found.told]
+    (gains,) = fitted.values.active
+    assert {names[i] for i in gains.used} == {"antenna 2 ln amplitude", "antenna 2 phase"}
+    assert f"{factors.title}: taken back, as the model is better without it" in told
+    assert any(line.endswith(", with 1 more") for line in told)
 
 
 PLACE = (31.37, -28.64)
