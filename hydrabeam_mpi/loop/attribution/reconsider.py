@@ -130,10 +130,24 @@ def compare_priors(
     return best, given
 
 
+def as_it_is(context: FitContext, fitted: Fitted, known: Known, place: int) -> Evidence:
+    """Do as `compare_priors` with the prior that the effect has, alone."""
+    return _reweigh(context, fitted, known, place, known.active[place].prior_var(context.setup))[0]
+
+
+def as_it_may_be(context: FitContext, fitted: Fitted, known: Known, place: int, least: float) -> Evidence | None:
+    """Do as `compare_priors` with the best prior alone; None where none can have a ln Bayes factor above ``least``.
+
+    No prior gives more evidence than the likelihood can rise.
+    """
+    (best,) = _reweigh(context, fitted, known, place, None, least=least)
+    return best if best.log_bayes_factor > least else None
+
+
 def _reweigh(
-    context: FitContext, fitted: Fitted, known: Known, place: int, *priors: FloatArray | None
+    context: FitContext, fitted: Fitted, known: Known, place: int, *priors: FloatArray | None, least: float = -np.inf
 ) -> list[Evidence]:
-    """Weigh an active effect with each of the priors; None is the best one."""
+    """Weigh an active effect with each of the priors; None is the best one, if that can have the ``least``."""
     last = known.active[place]
     rest = replace(fitted.values, active=known.active).without(place)
     weighed: list[Evidence] = []
@@ -141,6 +155,9 @@ def _reweigh(
         if known.by_channel is not None:
             likelihoods = known.of_one(context, place)
             left = beside_model(rest, last.effect, likelihoods)
+            nothing = np.zeros(last.x.shape[1])
+            if sum(one.most_gain() for one in left) <= least:
+                priors = tuple(nothing if prior is None else prior for prior in priors)
             weighed = [weigh(context, rest, last.effect, left, likelihoods, prior_var) for prior_var in priors]
     result: list[Evidence] = bcast_object(context.grid.world, weighed)
     return result

@@ -13,7 +13,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
-from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
+from hydrabeam_mpi.loop.attribution.reconsider import Known, as_it_is, as_it_may_be, compare_priors
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -91,17 +91,18 @@ def _taken_over(context: FitContext, fitted: Fitted, known: Known, places: Seque
     """
     active, found = fitted.values.active, list[tuple[float, list[Revision]]]()
     for gone in places:
-        _, own = compare_priors(context, fitted, known, gone, active[gone].prior_var(context.setup))
-        rest = known.without(context, gone)
+        own, rest = as_it_is(context, fitted, known, gone), known.without(context, gone)
         for other in places:
             if other == gone or not active[other].size < active[other].x.shape[1] <= RULES.most_columns:
                 continue
-            now = active[other].prior_var(context.setup)
-            best, present = compare_priors(context, fitted, rest, other - (other > gone), now)
-            more = best.log_bayes_factor - present.log_bayes_factor - own.log_bayes_factor
-            if more > 0:
-                gain = more + own.log_bayes_factor - best.linear_gain + present.linear_gain
-                found.append((more, [Revision(other, best, gain), Revision.left_out(gone, own)]))
+            place = other - (other > gone)
+            present = as_it_is(context, fitted, rest, place)
+            needed = present.log_bayes_factor + own.log_bayes_factor
+            best = as_it_may_be(context, fitted, rest, place, needed)
+            if best is not None:
+                gain = best.log_bayes_factor - best.linear_gain - present.log_bayes_factor + present.linear_gain
+                revisions = [Revision(other, best, gain), Revision.left_out(gone, own)]
+                found.append((best.log_bayes_factor - needed, revisions))
     for _, revisions in sorted(found, key=lambda one: -one[0]):
         again = _with_revisions(context, fitted, revisions, 0.0)
         if again is not None:
