@@ -129,10 +129,10 @@ def test_two_at_once(two_at_once: Path) -> None:
     assert record["verdict"] == "explained"
     assert {one["effect"] for one in record["rounds"]} == {"antenna_gains", "antenna_positions"}
     assert record["error_after"] == pytest.approx(1.0, abs=0.2)
-    errors = [record["error_before"], *(one["heldout_after"] for one in record["rounds"])]
-    assert errors == sorted(errors, reverse=True)
-    # The gains are the same in both channels, and told as such from the beginning.
-    (gains,) = (one for one in record["rounds"] if one["effect"] == "antenna_gains")
+    for one in record["rounds"]:
+        assert one["heldout_after"] < max(one["heldout_before"], 1.01)
+    # The gains are the same in both channels, and told as such in the end.
+    (gains,) = (one for one in record["rounds"] if one["effect"] == "antenna_gains" and not one["revoked"])
     assert (gains["title"], gains["n_parameters"]) == ("antenna gains, the same in all channels", 2)
     # What is written last has all of it; the effects are fitted jointly.
     job = load_job(two_at_once / "amended.toml")

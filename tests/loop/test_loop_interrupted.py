@@ -19,11 +19,17 @@ from hydrabeam_mpi.io.kept_rounds import latest_round
 from tests.cli.conftest import refusal
 from tests.launched import environment, passed_on
 from tests.loop.mock import mock_job, write_job
-from tests.loop.test_loop_command import GAIN, SHIFT, TWO, channels_of, record_of
+from tests.loop.test_loop_command import GAIN, TWO, channels_of, record_of
 from tests.loop.test_loop_ranks import assert_alike
 
-LOOP = {"effects": ["antenna_gains", "antenna_positions", "outliers"], "max_rounds": 2}
-JOB = mock_job(GAIN, SHIFT, freqs=TWO, n_times=8, loop=LOOP)
+MISSING = {
+    "kind": "missing_sources",
+    "settings": {"sources": [[31.37, -28.64]]},
+    "parameters": {"source at ra=31.370 dec=-28.640: flux": 3.0},
+}
+"""Found in a round of its own: the linear model does not tell where it is, so that it is in no set with the gain."""
+LOOP = {"effects": ["antenna_gains", "missing_sources", "outliers"], "max_rounds": 2}
+JOB = mock_job(GAIN, MISSING, freqs=TWO, n_times=8, loop=LOOP)
 HELD = """
 import io, os, sys, time
 from hydrabeam_mpi.cli import main
