@@ -91,19 +91,10 @@ class Orientation(TurningSky):
         """Return the rotation of the sky at each time, (Ntimes, 3)."""
         return np.asarray(ARCMIN * self._frames(block) @ x)
 
-    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return what small further turns do, (Ntimes, Ngroups, 3); ``x`` is (n_params,)."""
-        if self.fixed != "array":
-            return super().columns(block, x)
-        return self._by_turns(block, self._rates_of_array(block, ARCMIN * x), x)
-
     def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return the same in a block whose sky is turned already."""
-        return self._by_turns(block, self.rates(block), x)
-
-    def _by_turns(self, block: RowBlock, rates: ComplexArray, x: FloatArray) -> Columns:
-        """Return the columns, given how visibilities change as the sky turns about east, north and up."""
+        """Return what small further turns do, (Ntimes, Ngroups, 3); ``x`` is (n_params,)."""
         turns = np.array([rotation_rate(rotation) for rotation in self.rotations(block, x)]) @ self._frames(block)
+        rates = self._rates_of_array(block, ARCMIN * x) if self.fixed == "array" else self.rates(block)
         return Columns(ARCMIN * rates @ turns, 3, by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:

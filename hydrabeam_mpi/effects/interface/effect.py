@@ -218,7 +218,7 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         return block.positions
 
     def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return the columns at ``x`` of an effect that displaces the sky, in a block where it has done so."""
+        """Return the columns at ``x`` in a block where the effect has displaced the sky, if it does so."""
         return self.columns(block, x)
 
     @abstractmethod

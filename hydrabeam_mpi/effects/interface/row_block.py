@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.place import Place
 from hydrabeam_mpi.effects.interface.sky_block import SkyBlock
 
 
@@ -86,24 +87,13 @@ class RowBlock(SkyBlock):
 
     def displaced_by(self, effect: Any, x: FloatArray) -> RowBlock:
         """Return the same rows with the sky displaced by an effect as well; once for the same parameters."""
-        if not x.any():
+        if not (effect.displaces_sky and x.any()):
             return self
         for known, at, block in self._next:
             if known is effect and np.array_equal(at, x):
                 return block
-        seen = replace(
-            self,
-            positions=effect.displaced(self, x),
-            # What is kept of the sky is of other places.
-            integrals={},
-            places=None if self.places is None else {},
-            followed={},
-            memo=None,
-            keeps_waves=False,
-            design=np.zeros((0, 0, 0)),
-            moved=None,
-            displacing=(),
-        )
+        places: dict[int, Place] | None = None if self.places is None else {}
+        seen = self._elsewhere(positions=effect.displaced(self, x), places=places, followed={})
         self._next.append((effect, x.copy(), seen))
         return seen
 
@@ -124,7 +114,7 @@ class RowBlock(SkyBlock):
 
     @cached_property
     def _where_antennas_are(self) -> RowBlock:
-        """Return the same rows, those of antennas that are elsewhere as groups of their own, after the others'."""
+        """The same rows, of which those of antennas that are elsewhere are groups of their own, after the others'."""
         assert self.moved is not None
         further = self.moved[self.ant2] - self.moved[self.ant1]
         is_elsewhere = further.any(axis=1)
@@ -132,20 +122,18 @@ class RowBlock(SkyBlock):
         stays, of_stays = np.unique(self.member[~is_elsewhere], return_inverse=True)
         member = np.empty_like(self.member)
         member[~is_elsewhere], member[own] = of_stays, len(stays) + np.arange(len(own))
-        # What is kept of groups, and design rows, are of other vectors.
-        return replace(
-            self,
+        return self._elsewhere(
             own_vectors=np.concatenate([self.vectors[stays], self.vectors[self.member[own]] + further[own]]),
             own_antpos=self.antpos + self.moved,
-            moved=None,
             groups=np.arange(len(stays) + len(own)),
             member=member,
-            integrals={},
-            memo=None,
-            keeps_waves=False,
-            design=np.zeros((0, 0, 0)),
-            displacing=(),
         )
+
+    def _elsewhere(self, **changes: Any) -> RowBlock:
+        """Return the rows with some fields changed, which nothing moves any more."""
+        # What is kept of the sky and of groups, and design rows, are of other places or vectors.
+        anew: dict[str, Any] = {"integrals": {}, "memo": None, "keeps_waves": False, "design": np.zeros((0, 0, 0))}
+        return replace(self, moved=None, displacing=(), **anew, **changes)
 
     def added_by(self, effect: Any, x: FloatArray) -> ComplexArray:
         """Return what an effect of the model adds, (Ntimes, Nbls).
@@ -158,17 +146,17 @@ class RowBlock(SkyBlock):
 
     def derivative(self, effect: Any, x: FloatArray) -> Any:
         """Return the columns of an effect, `Columns`, of each baseline where antennas are elsewhere."""
-        seen = self.seen_by(effect)
-        columns = effect.columns(seen, x) if self._place_of(effect) is None else effect.slopes(seen, x)
-        return columns if seen.groups is self.groups else columns.of_rows(seen.member)
+        return self._by_own_rows(effect, x, effect.columns)
 
     def columns_of(self, effect: Any, x: FloatArray) -> Any:
         """Return the columns of an effect of the model, `Columns`, as A b has them; see `SkyBlock.columns_of`."""
+        return self._by_own_rows(effect, x, lambda seen, x: SkyBlock.columns_of(seen, effect, x))
+
+    def _by_own_rows(self, effect: Any, x: FloatArray, columns: Callable[[RowBlock, FloatArray], Any]) -> Any:
+        """Return columns of rows as an effect has them, of each baseline where groups are others there."""
         seen = self.seen_by(effect)
-        if seen is self:
-            return super().columns_of(effect, x)
-        columns = seen.columns_of(effect, x) if self._place_of(effect) is None else effect.slopes(seen, x)
-        return columns if seen.groups is self.groups else columns.of_rows(seen.member)
+        found = columns(seen, x) if self._place_of(effect) is None else effect.slopes(seen, x)
+        return found if seen.groups is self.groups else found.of_rows(seen.member)
 
     def integrate_for(self, effects: Sequence[Any]) -> None:
         """Fill ``integrals`` for those of these effects that they lack, in one pass over each sky that they see."""

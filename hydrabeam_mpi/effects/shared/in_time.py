@@ -160,7 +160,7 @@ class InTime(ScannedEffect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the effect's own columns times the functions; ``x`` is (n_params,)."""
-        return self.slopes(block.displaced_by(self, x) if self.displaces_sky else block, x)
+        return self.slopes(block.displaced_by(self, x), x)
 
     def slopes(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the columns where an effect that displaces the sky has done so; ``x`` is (n_params,)."""
@@ -349,8 +349,7 @@ class InTime(ScannedEffect):
                 # Once for all times, of which each has its part.
                 block.integral(self)
             now = self._at_times(block.setup, x, block.times)
-            columns = self.effect.slopes if self.displaces_sky else self.effect.columns
-            parts = [columns(block.at_time(t), one) for t, one in enumerate(now)]
+            parts = [self.effect.slopes(block.at_time(t), one) for t, one in enumerate(now)]
             own = replace(parts[0], values=np.concatenate([part.values for part in parts]))
         if not len(common):
             return own

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.linearised import active_sums
@@ -66,18 +66,11 @@ class Known:
 
         Serial.
         """
-        active, gone = (*self.active[:place], *self.active[place + 1 :]), self.active[place]
+        active = (*self.active[:place], *self.active[place + 1 :])
         if self.by_channel is None:
             return Known(active, None)
-        start = sum(one.x.shape[1] for one in self.active[:place])
-        own = np.arange(start, start + gone.x.shape[1])
-        linear, found = ~gone.effect.parameters(context.setup).nonlinear, []
-        for number, one in enumerate(self.by_channel):
-            score = one.score + one.information[:, own] @ np.where(linear, gone.x[number], 0.0)
-            rest = (np.delete(np.delete(matrix, own, 0), own, 1) for matrix in (one.information, one.signal))
-            information, signal = rest
-            found.append(Likelihood(information, np.delete(score, own), signal))
-        return Known(active, found)
+        every = np.arange(sum(one.x.shape[1] for one in self.active))
+        return Known(active, self._around_zero(context, place, np.delete(every, self._columns(place))))
 
     def of_one(self, context: FitContext, place: int) -> list[Likelihood]:
         """Return what each channel says of one effect, around zero, after those parameters of the others in use.
@@ -85,18 +78,22 @@ class Known:
         Places and the like stay where they have been fitted: without its flux a source is gone wherever it is. On rank
         0.
         """
+        others = [self._columns(i)[one.used] for i, one in enumerate(self.active) if i != place]
+        return self._around_zero(context, place, np.concatenate([*others, self._columns(place)]))
+
+    def _columns(self, place: int) -> IntArray:
+        """Return where an effect's parameters are among those of all."""
+        start = sum(one.x.shape[1] for one in self.active[:place])
+        return np.arange(start, start + self.active[place].x.shape[1])
+
+    def _around_zero(self, context: FitContext, place: int, which: IntArray) -> list[Likelihood]:
+        """Return what each channel says of some of all parameters, with the effect at a place at zero. On rank 0."""
         assert self.by_channel is not None
-        last, ends = self.active[place], np.cumsum([one.x.shape[1] for one in self.active])
-        starts = [int(end) - one.x.shape[1] for end, one in zip(ends, self.active, strict=True)]
-        own = starts[place] + np.arange(last.x.shape[1])
-        others = [start + one.used for start, one in zip(starts, self.active, strict=True) if one is not last]
-        order = np.concatenate([*others, own])
-        linear = ~last.effect.parameters(context.setup).nonlinear
-        found = []
-        for number, one in enumerate(self.by_channel):
-            score = one.score + one.information[:, own] @ np.where(linear, last.x[number], 0.0)
-            square = np.ix_(order, order)
-            found.append(Likelihood(one.information[square], score[order], one.signal[square]))
+        one, own, square = self.active[place], self._columns(place), np.ix_(which, which)
+        linear, found = ~one.effect.parameters(context.setup).nonlinear, []
+        for known, x in zip(self.by_channel, one.x, strict=True):
+            score = known.score + known.information[:, own] @ np.where(linear, x, 0.0)
+            found.append(Likelihood(known.information[square], score[which], known.signal[square]))
         return found
 
 
@@ -140,14 +137,22 @@ def as_it_may_be(context: FitContext, fitted: Fitted, known: Known, place: int, 
 
     No prior gives more evidence than the likelihood can rise.
     """
-    (best,) = _reweigh(context, fitted, known, place, None, least=least)
-    return best if best.log_bayes_factor > least else None
+    found = _reweigh(context, fitted, known, place, None, least=least)
+    return found[0] if found and found[0].log_bayes_factor > least else None
 
 
 def _reweigh(
-    context: FitContext, fitted: Fitted, known: Known, place: int, *priors: FloatArray | None, least: float = -np.inf
+    context: FitContext,
+    fitted: Fitted,
+    known: Known,
+    place: int,
+    *priors: FloatArray | None,
+    least: float | None = None,
 ) -> list[Evidence]:
-    """Weigh an active effect with each of the priors; None is the best one, if that can have the ``least``."""
+    """Weigh an active effect with each of the priors; None is the best one.
+
+    With none of them where no prior can have a ln Bayes factor above ``least``.
+    """
     last = known.active[place]
     rest = replace(fitted.values, active=known.active).without(place)
     weighed: list[Evidence] = []
@@ -155,9 +160,7 @@ def _reweigh(
         if known.by_channel is not None:
             likelihoods = known.of_one(context, place)
             left = beside_model(rest, last.effect, likelihoods)
-            nothing = np.zeros(last.x.shape[1])
-            if sum(one.most_gain() for one in left) <= least:
-                priors = tuple(nothing if prior is None else prior for prior in priors)
-            weighed = [weigh(context, rest, last.effect, left, likelihoods, prior_var) for prior_var in priors]
+            if least is None or sum(one.most_gain() for one in left) > least:
+                weighed = [weigh(context, rest, last.effect, left, likelihoods, prior_var) for prior_var in priors]
     result: list[Evidence] = bcast_object(context.grid.world, weighed)
     return result

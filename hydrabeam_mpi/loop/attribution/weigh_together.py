@@ -97,10 +97,11 @@ def weigh_together(
 
 def with_strong_alone(joint: JointLikelihood, least: float) -> JointSet:
     """Search for a set, and for one of effects that are too strong to be what others have that is not linear."""
-    every, strong = search(joint, least), search(joint, max(least, RULES.not_linear * joint.most_gain()))
-    if set(strong.order) == set(every.order):
+    every, least_strong = search(joint, least), RULES.not_linear * joint.most_gain()
+    if least_strong <= least:
         return every
-    return replace(every, simpler=(*every.simpler, strong))
+    strong, known = search(joint, least_strong), [set(one.order) for one in (every, *every.simpler)]
+    return every if set(strong.order) in known else replace(every, simpler=(*every.simpler, strong))
 
 
 def _competitor(context: FitContext, fitted: Fitted, one: Finding, which: IntArray) -> Competitor:

@@ -90,11 +90,13 @@ def _taken_over(context: FitContext, fitted: Fitted, known: Known, places: Seque
     Collective: all ranks of the grid.
     """
     active, found = fitted.values.active, list[tuple[float, list[Revision]]]()
+    may_grow = [place for place in places if active[place].size < active[place].x.shape[1] <= RULES.most_columns]
     for gone in places:
+        others = [place for place in may_grow if place != gone]
+        if not others:
+            continue
         own, rest = as_it_is(context, fitted, known, gone), known.without(context, gone)
-        for other in places:
-            if other == gone or not active[other].size < active[other].x.shape[1] <= RULES.most_columns:
-                continue
+        for other in others:
             place = other - (other > gone)
             present = as_it_is(context, fitted, rest, place)
             needed = present.log_bayes_factor + own.log_bayes_factor

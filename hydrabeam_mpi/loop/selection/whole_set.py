@@ -51,9 +51,11 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     sets = (weighed.together, *weighed.simpler)
     if not weighed.explains:
         above = left_of(context, checked.fitted).above_noise
-        leaves_little = [above - one.log_bayes_factor < RULES.near * (above - weighed.most_by_itself) for one in sets]
-        pairs = zip(sets, leaves_little, strict=True)
-        sets = (weighed.with_drift, *(one if little else _that_none_stands_for(one, weighed) for one, little in pairs))
+        little = RULES.near * (above - weighed.most_by_itself)
+        as_fitted = [
+            one if above - one.log_bayes_factor < little else _that_none_stands_for(one, weighed) for one in sets
+        ]
+        sets = (weighed.with_drift, *as_fitted)
     for of_set in sorted(sets, key=lambda one: one.n_parameters):
         one = of_set.without({candidate.name for candidate, _ in tried})
         if best and best[-1].after.remains.consistent:
