@@ -12,6 +12,8 @@ memory there is; else it is made anew in each pass."""
 PART_KEPT = 0.25
 """The same as a part of the memory that a rank has: the two take half of it at most."""
 REAL, COMPLEX = 8, 16
+SKIES_ELSEWHERE = 6
+"""Displaced skies that are kept: those of two steps of a fit with a clock, an orientation and refraction."""
 
 
 def bytes_to_keep(world: Comm) -> float:
@@ -31,11 +33,14 @@ class Room:
         Where the sources are at each time.
     waves : bool
         Their fringes, too.
+    skies_elsewhere : int
+        The same of so many skies of a channel that are displaced.
     """
 
     designs: bool
     places: bool
     waves: bool
+    skies_elsewhere: int
 
     @classmethod
     def of(cls, n_times: int, n_groups: int, n_channels: int, n_modes: int, n_sources: int, kept_bytes: float) -> Room:
@@ -44,6 +49,8 @@ class Room:
         n_places = n_sources * n_times
         places = 3 * REAL * n_places <= kept_bytes / 4
         # Of the sources half are above the horizon.
-        waves = REAL * n_places * n_groups * n_channels <= kept_bytes / 4
+        of_waves = REAL * n_places * n_groups * n_channels
+        waves = places and of_waves <= kept_bytes / 4
+        elsewhere = SKIES_ELSEWHERE if waves and (1 + SKIES_ELSEWHERE) * of_waves <= kept_bytes / 4 else 0
         # Those of the sky as it is, and as it is with effects.
-        return cls(2 * COMPLEX * n_designs * n_modes <= kept_bytes, places, places and waves)
+        return cls(2 * COMPLEX * n_designs * n_modes <= kept_bytes, places, waves, elsewhere)

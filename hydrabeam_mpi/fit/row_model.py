@@ -13,7 +13,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.interface.place import Place
+from hydrabeam_mpi.effects.interface.place import Place, PlacesElsewhere
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.displacing import with_displacing
 from hydrabeam_mpi.fit.accumulate import designs, mixed
@@ -74,6 +74,10 @@ class RowModel:
         """What is kept of these rows."""
         sizes = len(self.rows.tile.times), len(self.rows.groups), len(self.rows.data)
         return Room.of(*sizes, self.problem.basis.n_modes, self.setup.sky.Nsrc, self.kept_bytes)
+
+    @cached_property
+    def _elsewhere(self) -> PlacesElsewhere:
+        return PlacesElsewhere(self.room.skies_elsewhere if self.problem.job.solver.engine == "gemm" else 0)
 
     @cached_property
     def model(self) -> ForwardModel:
@@ -203,6 +207,7 @@ class RowModel:
             engine_kind=self.problem.job.solver.engine,
             places=self._places if self.room.places else None,
             keeps_waves=self.room.waves and self.problem.job.solver.engine == "gemm",
+            elsewhere=self._elsewhere,
             sky_effects=[(one.effect, one.x[number]) for one in values.active if one.effect.changes_sky],
             memo=self._memo if self.room.designs else None,
             followed=self._followed,

@@ -69,6 +69,35 @@ class Place:
         self._seen[channel] = [(beam, sky_effects, sources), *self._seen.get(channel, [])[:1]]
 
 
+@dataclass
+class PlacesElsewhere:
+    """Where sources are in skies that effects displace, of the latest such skies: those of a fit's last steps.
+
+    Attributes
+    ----------
+    most : int
+        Skies of a channel that are kept at most; none where there is no room.
+    """
+
+    most: int = 0
+    _latest: dict[int, list[tuple[dict[int, Place], Any, FloatArray, dict[int, Place]]]] = field(default_factory=dict)
+
+    def of(self, channel: int, before: dict[int, Place], effect: Any, x: FloatArray) -> dict[int, Place]:
+        """Return the places of a sky that an effect displaces by parameters ``x``, to be filled in, by time.
+
+        ``before`` are those of the sky without it, the very object.
+        """
+        latest = self._latest.setdefault(channel, [])
+        for number, (known, by, at, places) in enumerate(latest):
+            if known is before and by is effect and np.array_equal(at, x):
+                latest.append(latest.pop(number))
+                return places
+        latest.append((before, effect, x.copy(), {}))
+        found = latest[-1][-1]
+        del latest[: max(len(latest) - self.most, 0)]
+        return found
+
+
 def _are_same(one: SkyEffects, two: SkyEffects) -> bool:
     return len(one) == len(two) and all(
         first is second and np.array_equal(x, y) for (first, x), (second, y) in zip(one, two, strict=True)

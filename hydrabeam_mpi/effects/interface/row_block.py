@@ -11,7 +11,6 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.place import Place
 from hydrabeam_mpi.effects.interface.sky_block import SkyBlock
 
 
@@ -92,8 +91,10 @@ class RowBlock(SkyBlock):
         for known, at, block in self._next:
             if known is effect and np.array_equal(at, x):
                 return block
-        places: dict[int, Place] | None = None if self.places is None else {}
-        seen = self._elsewhere(positions=effect.displaced(self, x), places=places, followed={})
+        places = None if self.places is None else self.elsewhere.of(self.channel, self.places, effect, x)
+        keeps_waves = self.elsewhere.most > 0 and self.own_vectors is None
+        positions = effect.displaced(self, x)
+        seen = self._elsewhere(positions=positions, places=places, keeps_waves=keeps_waves, followed={})
         self._next.append((effect, x.copy(), seen))
         return seen
 
@@ -133,7 +134,7 @@ class RowBlock(SkyBlock):
         """Return the rows with some fields changed, which nothing moves any more."""
         # What is kept of the sky and of groups, and design rows, are of other places or vectors.
         anew: dict[str, Any] = {"integrals": {}, "memo": None, "keeps_waves": False, "design": np.zeros((0, 0, 0))}
-        return replace(self, moved=None, displacing=(), **anew, **changes)
+        return replace(self, moved=None, displacing=(), **(anew | changes))
 
     def added_by(self, effect: Any, x: FloatArray) -> ComplexArray:
         """Return what an effect of the model adds, (Ntimes, Nbls).

@@ -12,7 +12,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.interface.place import Place
+from hydrabeam_mpi.effects.interface.place import Place, PlacesElsewhere
 from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -53,6 +53,8 @@ class SkyBlock:
         Keeps what ``positions`` says of each time, for blocks to share where there is room for it.
     keeps_waves : bool
         Whether there is room in ``places`` for the fringes of the groups, too.
+    elsewhere : PlacesElsewhere
+        Keeps the same of skies that effects displace, for blocks to share.
     sky_effects : sequence of (Effect, ndarray)
         Effects in the model that change the sky, with their parameters.
     followed : dict
@@ -75,6 +77,7 @@ class SkyBlock:
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
     places: dict[int, Place] | None = None
     keeps_waves: bool = False
+    elsewhere: PlacesElsewhere = field(default_factory=PlacesElsewhere)
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
     followed: dict[bytes, Followed] = field(default_factory=dict)
     memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None

@@ -65,6 +65,9 @@ class Search:
             self.keep(self.history)
 
 
+Step = Callable[[FitContext, Round, int], Taken]
+
+
 def run_rounds(search: Search) -> None:
     """Look for effects until no further one improves the model. Collective: all ranks of the grid.
 
@@ -274,17 +277,19 @@ def _take_back(context: FitContext, history: History) -> None:
 
     Collective: all ranks of the grid.
     """
-    given, before = history.first.fitted.values, None
+    given, before, unchanged_by = history.first.fitted.values, None, dict[Step, Fitted]()
     n_given, there = len(given.active), [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
         for step in (take_back_faint, take_back_unphysical, take_back, _revised):
             fitted = history.last.fitted
-            if len(fitted.values.active) > n_given:
+            if len(fitted.values.active) > n_given and unchanged_by.get(step) is not fitted:
                 last, places, asked = step(context, history.rounds[-1], n_given)
                 told = [_asked(one, fitted, places, asked) for one in (*history.rounds[:-1], last)]
                 history.rounds = told[:-1]
                 history.add(told[-1], places)
+                if history.last.fitted is fitted:
+                    unchanged_by[step] = fitted
         last, gone = take_back_weights(context, history.rounds[-1], len(given.reweighted))
         if gone:
             history.rounds = [

@@ -13,9 +13,10 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import price_of
-from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, State, search
+from hydrabeam_mpi.loop.attribution.joint_likelihood import Competitor, JointLikelihood, State
+from hydrabeam_mpi.loop.attribution.joint_search import JointSet, search
 from hydrabeam_mpi.loop.attribution.others import Others
-from hydrabeam_mpi.loop.attribution.weigh_together import with_strong_alone
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.random import generator
 
 N_DATA, LEAST = 200, 5.0
@@ -93,8 +94,12 @@ def test_what_is_right_together_takes_the_place_of_what_explains_most_alone(stan
         assert stand_in.log_evidence(rest) < found.log_bayes_factor
     for i in found.order:
         beside = {j: one.log_bayes_factor for j, one in found.beside[i].items()}
-        assert set(beside) == {i, 1, 2}
         assert max(beside, key=lambda j: beside[j]) == i
+        # What comes near it is told, and nothing else.
+        rest = {j: one for j, one in state.items() if j != i}
+        near = {j: one.log_bayes_factor for j, one in stand_in.joint.weigh(rest, [1, 2]).items()}
+        assert set(beside) == {i, *(j for j, nats in near.items() if nats >= RULES.near_if_linear * beside[i])}
+    assert any(len(found.beside[i]) > 1 for i in found.order)
 
 
 def test_what_one_effect_explains_is_shared_out() -> None:
@@ -148,12 +153,12 @@ def test_a_set_ends_where_a_control_model_is_wanted_beside_its_effects(stand_in:
 def test_strong_effects_are_told_without_what_may_be_of_them_that_is_not_linear() -> None:
     columns = [draw(N_DATA, 1, seed=seed) for seed in range(20, 24)]
     truth = np.concatenate(columns, axis=1) @ [30.0, -20.0, 0.9, 0.0]
-    found = with_strong_alone(Data(columns, [competitor(1)] * 4, [truth]).joint, LEAST)
+    found = Data(columns, [competitor(1)] * 4, [truth]).found()
     assert found.order == (0, 1, 2)
     assert [one.order for one in found.simpler] == [(0, 1)]
     # Where all are strong there is one set.
     truth = np.concatenate(columns, axis=1) @ [30.0, -20.0, 9.0, 0.0]
-    found = with_strong_alone(Data(columns, [competitor(1)] * 4, [truth]).joint, LEAST)
+    found = Data(columns, [competitor(1)] * 4, [truth]).found()
     assert found.order == (0, 1, 2)
     assert found.simpler == ()
 
