@@ -16,7 +16,7 @@ from hydrabeam_mpi.api.plan import possible
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.fit.memory import Share, check_fits, inference_bytes, joint_bytes
-from hydrabeam_mpi.fit.room import Room
+from hydrabeam_mpi.fit.room import SKIES_ELSEWHERE, Room
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.loop.memory import candidates_of, further_bytes, loop_bytes, weighing_bytes
 from hydrabeam_mpi.memory import machine_bytes
@@ -250,8 +250,12 @@ def test_columns_are_as_many_as_the_effects_have(job: Path) -> None:
 
 
 def test_what_has_no_room_is_made_anew_and_not_counted() -> None:
-    assert Room.of(10, 50, 1, 30, 1000, np.inf) == Room(True, True, True)
-    assert Room.of(10, 50, 1, 30, 1000, 0.0) == Room(False, False, False)
+    assert Room.of(10, 50, 1, 30, 1000, np.inf) == Room(True, True, True, SKIES_ELSEWHERE)
+    assert Room.of(10, 50, 1, 30, 1000, 0.0) == Room(False, False, False, 0)
+    # Fringes of one sky, and of not so many: a quarter is theirs together.
+    fringes = 8 * 1000 * 10 * 50
+    assert Room.of(10, 50, 1, 30, 1000, 8 * fringes) == Room(True, True, True, 0)
+    assert Room.of(10, 50, 1, 30, 1000, 4 * (1 + SKIES_ELSEWHERE) * fringes).skies_elsewhere == SKIES_ELSEWHERE
     keeping = Share(1, 1000, 1000, 100, 50, 1000, Zernike(6))
     making = replace(keeping, kept_bytes=0.0)
     assert keeping.kept_designs == 2000 * keeping.design

@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.orientation import Orientation
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.place import Place, PlacesElsewhere
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.displaced import ARCMIN, TurnedPositions, TurningSky, rotate
 from hydrabeam_mpi.effects.shared.displacing import with_displacing
@@ -187,6 +188,36 @@ def test_columns_are_the_slopes_of_all_that_is_added(number: int) -> None:
     for i, unit in enumerate(step * np.eye(len(x))):
         slope = (total(x + unit) - total(x - unit)) / (2 * step)
         assert np.abs(dense[:, i] - slope.ravel()).max() < 3e-3 * np.abs(slope).max()
+
+
+def test_what_is_kept_of_displaced_skies_changes_nothing_and_serves_blocks_that_follow() -> None:
+    """For other parameters, another channel, tilted beams and antennas that are elsewhere, in any order."""
+    kept, places = PlacesElsewhere(2), dict[int, Place]()
+    tilts, x = AntennaPointing(), generator(9, "tilts").standard_normal(14)
+    moved: list[tuple[Effect, FloatArray]] = [(POSITIONS, SHIFTS.ravel())]
+    turns = [(effect, own / n) for n in (1, 2, 1) for effect, own in TURNS]
+    scenes = [(channel, [*move, turn]) for turn in turns for channel in (0, 1) for move in ([], moved, [])]
+    for channel, model in scenes:
+        alone = with_displacing(small_block(small_setup(), channel), model)
+        sharing = replace(alone, places=places, keeps_waves=True, elsewhere=kept)
+        for effect, own in (model[-1], (tilts, x)):
+            expected = alone.added_by(effect, own)
+            np.testing.assert_allclose(sharing.added_by(effect, own), expected, atol=1e-12 * np.abs(expected).max())
+        turning, own = model[-1]
+        columns = [one.columns_of(turning, own).of_rows(one.member).values for one in (alone, sharing)]
+        np.testing.assert_allclose(columns[1], columns[0], atol=1e-12 * np.abs(columns[0]).max())
+    effect, own = scenes[-1][1][-1]
+    again = replace(with_displacing(small_block(small_setup(), 1), [(effect, own)]), places=places, elsewhere=kept)
+    assert again.displaced_by(effect, own.copy()).places is sharing.displaced_by(effect, own).places
+    assert kept.of(1, places, effect, own + 1) is not kept.of(1, places, effect, own)
+    # The latest two are kept, of each channel.
+    older = kept.of(1, places, effect, own)
+    for more in (1, 2):
+        kept.of(1, places, effect, own + more)
+    kept.of(0, places, effect, own)
+    assert kept.of(1, places, effect, own) is not older
+    # None where there is no room.
+    assert PlacesElsewhere().of(0, places, effect, own) == {}
 
 
 def test_what_does_not_see_the_sky_has_it_as_it_is() -> None:
