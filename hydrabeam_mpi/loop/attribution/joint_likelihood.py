@@ -107,9 +107,11 @@ class JointLikelihood:
 
     def all_above(self, least: float, state: State, numbers: Collection[int]) -> State:
         """Return the evidence for those of some competitors that have the ``least`` beside those of ``state``."""
-        _, most = self._most(state, numbers)
-        found = self.weigh(state, [i for i in numbers if most[i] >= least])
-        return {i: one for i, one in found.items() if one.log_bayes_factor >= least}
+        blocks, most = self._most(state, numbers)
+        found = self._known(state)
+        may = [i for i in numbers if most[i] >= least]
+        found.update({i: self._possible(i, blocks[i]) for i in may if i not in found})
+        return {i: found[i] for i in may if found[i].log_bayes_factor >= least}
 
     def _most(self, state: State, numbers: Collection[int]) -> tuple[dict[int, list[Likelihood]], dict[int, float]]:
         """Return the likelihood of those not weighed beside a set so far, and what evidence each of all has at most.

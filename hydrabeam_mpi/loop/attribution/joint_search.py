@@ -20,7 +20,8 @@ MOST_SWEEPS = 20
 LEAST_GAIN = 0.01
 """Fraction of what an effect must add, in nats, below which a move gains nothing.
 
-Widths are tried in steps that cost a tenth of a nat. Where less than what is left does not count, nor does this.
+Where 5 nats are asked it is half of what a step in width costs. Where less than what is left does not count, nor does
+a hundredth of it.
 """
 
 
@@ -39,7 +40,8 @@ class JointSet:
     gain : float
         By how much they raise ln likelihood together.
     simpler : tuple of JointSet
-        Others that began with another effect, the best first; each has fewer parameters than all before it.
+        Others: of strong effects alone, and such that began with another effect, the best first; of these each has
+        fewer parameters than all before it.
     """
 
     order: tuple[int, ...] = ()
