@@ -24,6 +24,7 @@ from hydrabeam_mpi.loop.attribution.joint_search import JointSet, search
 from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 
 
@@ -87,10 +88,21 @@ def weigh_together(
             alone = {
                 i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked) if has_all_in_use(one, which)
             }
-            chosen = search(JointLikelihood(by_channel, model, competitors, alone), least, limits.left.above_noise)
-            found = _told(picked, chosen, findings, *limits.left)
+            joint = JointLikelihood(by_channel, model, competitors, alone)
+            # No set leaves less. An effect that explains no more than a set leaves is not told, nor looked for.
+            left = limits.left.chi2 - joint.most_gain() - limits.left.free
+            found = _told(picked, with_strong_alone(joint, max(least, left)), findings, *limits.left)
     result: TogetherFound = bcast_object(context.grid.world, found)
     return result
+
+
+def with_strong_alone(joint: JointLikelihood, least: float) -> JointSet:
+    """Search for a set, and for one of effects that are too strong to be what others have that is not linear."""
+    every, least_strong = search(joint, least), RULES.not_linear * joint.most_gain()
+    if least_strong <= least:
+        return every
+    strong, known = search(joint, least_strong), [set(one.order) for one in (every, *every.simpler)]
+    return every if set(strong.order) in known else replace(every, simpler=(*every.simpler, strong))
 
 
 def _competitor(context: FitContext, fitted: Fitted, one: Finding, which: IntArray) -> Competitor:

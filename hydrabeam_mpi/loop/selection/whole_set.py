@@ -40,9 +40,9 @@ Tried = list[tuple[Candidate, str]]
 def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Tried) -> tuple[Round, ...]:
     """Fit the effects of the set as a whole, and of simpler ones; return the best as rounds.
 
-    The simplest comes first: one with more parameters, and no more evidence by the linear model than the best has come
-    to in its fit, need not be fitted. What a set has beyond the effects of the best, and what was refused in a set
-    before, is left to the next round, in which it is looked for beside the best.
+    The simplest comes first: where it leaves nothing, one with more parameters and no more evidence need not be fitted.
+    What a set has beyond the effects of the best, and what was refused in a set before, is left to the next round, in
+    which it is looked for beside the best.
 
     Of a set that leaves more than noise, and not far less than the best effect by itself, those alone are fitted that
     none of the others stands for. There are no rounds where none holds. Collective: all ranks of the grid.
@@ -58,8 +58,10 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
         sets = (weighed.with_drift, *as_fitted)
     for of_set in sorted(sets, key=lambda one: one.n_parameters):
         one = of_set.without({candidate.name for candidate, _ in tried})
-        if best and one.log_bayes_factor <= sum(found.candidate.log_bayes_factor for found in best):
-            continue
+        if best and best[-1].after.remains.consistent:
+            reached = sum(found.candidate.log_bayes_factor for found in best)
+            if one.log_bayes_factor <= reached:
+                continue
         if best and {found.candidate.name for found in best} < {member.name for member in of_set.members}:
             continue
         found = _try_one_set(context, checked, weighed, one, tried)

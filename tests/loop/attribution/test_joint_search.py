@@ -16,6 +16,7 @@ from hydrabeam_mpi.loop.attribution.evidence import price_of
 from hydrabeam_mpi.loop.attribution.joint_likelihood import Competitor, JointLikelihood, State
 from hydrabeam_mpi.loop.attribution.joint_search import JointSet, search
 from hydrabeam_mpi.loop.attribution.others import Others
+from hydrabeam_mpi.loop.attribution.weigh_together import with_strong_alone
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.random import generator
 
@@ -153,12 +154,12 @@ def test_a_set_ends_where_a_control_model_is_wanted_beside_its_effects(stand_in:
 def test_strong_effects_are_told_without_what_may_be_of_them_that_is_not_linear() -> None:
     columns = [draw(N_DATA, 1, seed=seed) for seed in range(20, 24)]
     truth = np.concatenate(columns, axis=1) @ [30.0, -20.0, 0.9, 0.0]
-    found = Data(columns, [competitor(1)] * 4, [truth]).found()
+    found = with_strong_alone(Data(columns, [competitor(1)] * 4, [truth]).joint, LEAST)
     assert found.order == (0, 1, 2)
     assert [one.order for one in found.simpler] == [(0, 1)]
     # Where all are strong there is one set.
     truth = np.concatenate(columns, axis=1) @ [30.0, -20.0, 9.0, 0.0]
-    found = Data(columns, [competitor(1)] * 4, [truth]).found()
+    found = with_strong_alone(Data(columns, [competitor(1)] * 4, [truth]).joint, LEAST)
     assert found.order == (0, 1, 2)
     assert found.simpler == ()
 
