@@ -30,7 +30,7 @@ class JointSet:
     order : tuple of int
         Their numbers among the competitors, by the evidence that each has beside the others, best first.
     beside : dict of int to dict of int to Evidence
-        For each of them, what it has beside the others, and what every other competitor has that comes near it.
+        For each of them, what it and every competitor that is not of the set has beside the others.
     log_bayes_factor : float
         Of all of them together.
     gain : float
@@ -96,8 +96,8 @@ def _as_set(joint: JointLikelihood, state: State, total: float, least: float) ->
     own = {m: joint.weigh(without(state, m), [m]) for m in state}
     order = [m for m in own if own[m][m].log_bayes_factor >= least]
     order.sort(key=lambda m: -own[m][m].log_bayes_factor)
-    near, free = {m: RULES.near_if_linear * own[m][m].log_bayes_factor for m in order}, _free(joint, state)
-    beside = {m: own[m] | joint.all_above(near[m], without(state, m), free) for m in order}
+    free = _free(joint, state)
+    beside = {m: own[m] | joint.weigh(without(state, m), free) for m in order}
     return JointSet(tuple(order), beside, total, joint.gain(state))
 
 

@@ -33,6 +33,9 @@ from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
 from hydrabeam_mpi.mpi import bcast_object
 from hydrabeam_mpi.terminal.progress import say
 
+Step = Callable[[FitContext, Round, int], Taken]
+"""What takes back effects of the last round, but for the first so many of the model, which the job itself has."""
+
 
 @dataclass(frozen=True)
 class Search:
@@ -63,9 +66,6 @@ class Search:
         """Keep the history as it is. Collective: all ranks of the grid."""
         with self.clock.time("keep"):
             self.keep(self.history)
-
-
-Step = Callable[[FitContext, Round, int], Taken]
 
 
 def run_rounds(search: Search) -> None:
