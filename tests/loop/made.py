@@ -27,17 +27,19 @@ N_DATA = 2000
 NOTHING = Fitted()
 
 
-def evidence(log_bayes_factor: float, absorbed: float = 0.1, effective: float = 2.0, **given: Any) -> Evidence:
+def evidence(
+    log_bayes_factor: float, absorbed: float = 0.1, effective: float = 2.0, price: float = 9.0, **given: Any
+) -> Evidence:
     """Of four parameters, three of which are in use, in one channel."""
-    prior_var = np.array([0.04, 0.01, 0.04, 0.0])
-    made = Evidence(log_bayes_factor, prior_var, np.zeros((1, 4)), 2 * log_bayes_factor, effective, absorbed, 3, 0.0)
+    prior_var, gain = np.array([0.04, 0.01, 0.04, 0.0]), log_bayes_factor + price
+    made = Evidence(log_bayes_factor, prior_var, np.zeros((1, 4)), 2 * log_bayes_factor, effective, absorbed, 3, gain)
     return replace(made, **given)
 
 
 def effect_candidate(
-    effect: Effect, log_bayes_factor: float = 100.0, absorbed: float = 0.1, effective: float = 2.0
+    effect: Effect, log_bayes_factor: float = 100.0, absorbed: float = 0.1, effective: float = 2.0, price: float = 9.0
 ) -> Candidate:
-    found = evidence(log_bayes_factor, absorbed, effective)
+    found = evidence(log_bayes_factor, absorbed, effective, price)
     return Candidate(effect.kind, effect.title, log_bayes_factor, Finding(effect, found))
 
 

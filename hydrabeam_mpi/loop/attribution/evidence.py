@@ -74,6 +74,25 @@ class Evidence:
         """Parameters in use, over all blocks."""
         return int(np.count_nonzero(self.prior_var)) * len(self.x)
 
+    @property
+    def price(self) -> float:
+        """What the freedom of the parameters costs: what x raises of likelihood times prior, less of evidence."""
+        return self.linear_gain - self.log_bayes_factor
+
+    def with_gain(self, gain: float) -> Evidence:
+        """Return the evidence of a fit that raises ln(likelihood x prior) by ``gain``, at the same price."""
+        return replace(self, log_bayes_factor=gain - self.price, linear_gain=gain)
+
+    def with_others(self, others: Sequence[Evidence]) -> Evidence:
+        """Return what it and others come to together, each weighed beside those before it."""
+        every = (self, *others)
+        return replace(
+            self,
+            log_bayes_factor=sum(one.log_bayes_factor for one in every),
+            effective_parameters=sum(one.effective_parameters for one in every),
+            linear_gain=sum(one.linear_gain for one in every),
+        )
+
 
 def find_evidence(
     blocks: Sequence[Likelihood], parameters: Parameters, degenerate_directions: FloatArray | None = None

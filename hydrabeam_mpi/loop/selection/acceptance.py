@@ -248,8 +248,8 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
 
     Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
-    (``enough``) another with no more evidence can only be simpler, as may be what needs several elements until places
-    or delays are refined.
+    (``enough``) another can explain no more, and with no more evidence it can only be simpler, as may be what needs
+    several elements until places or delays are refined: if one of its parameters may cost less than the best one does.
     A structure that was found is no noise, but few integrations or baselines with something else in them may have
     looked like one; and these leave nothing of any effect that shows in few, so that it is fitted beside them.
     """
@@ -262,7 +262,7 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
         return True
     if candidate.log_bayes_factor > reached:
         return True
-    simpler = candidate.finding.effect.gets_simpler_when_fitted
+    simpler = candidate.finding.effect.gets_simpler_when_fitted and least_price(candidate) < price(best.candidate)
     return simpler and candidate.log_bayes_factor > RULES.near_if_linear * reached
 
 
@@ -280,19 +280,27 @@ def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: f
     linear model expects of it, as in `may_be_better`. Where no parameters are ``nonlinear``, of which the linear model
     knows nothing before the effect has a size, it is also told by how what that model expects of the end has risen on
     the way so far: on the rest of it, the root of what is left to gain, by no more in proportion. From either goes what
-    the freedom of the parameters costs, as weighed before the fit unless the fit says.
+    the freedom of the parameters costs: unless the fit says, what it does at least.
     """
     assert candidate.finding is not None
-    evidence, near = candidate.finding.evidence, RULES.near
-    if candidate.finding.effect.linear:
-        near = RULES.near_if_linear
+    near = RULES.near_if_linear if candidate.finding.effect.linear else RULES.near
     risen, first, now = at.reached - start, *(one - start for one in at.foreseen)
     most = risen + at.expected / near
     if not nonlinear and risen > 0 and first != now:
         rest = np.sqrt(max(now - risen, 0.0) / max(now, risen))
         most = min(most, now + max(now - first, 0.0) * rest / (1 - rest) if rest < 1 else np.inf)
-    price = evidence.linear_gain - evidence.log_bayes_factor if at.price is None else at.price
-    return most - price > least
+    return most - (least_price(candidate) if at.price is None else at.price) > least
+
+
+def price(candidate: Candidate) -> float:
+    """Return what the freedom of an effect's parameters costs, in nats; nothing for a change of the weights."""
+    return candidate.finding.evidence.price if candidate.finding else 0.0
+
+
+def least_price(candidate: Candidate) -> float:
+    """Return what it costs at least: once it is fitted, an effect may want a single one of its parameters."""
+    n_used = np.count_nonzero(candidate.finding.evidence.prior_var) if candidate.finding else 0
+    return price(candidate) / max(n_used, 1)
 
 
 def complexity(candidate: Candidate) -> float:

@@ -111,7 +111,7 @@ class TriedFit:
         wanted, given = compare_priors(context, fitted, known, place, own)
         gained, price = rise(context, before, fitted), price_of_fitted(context, fitted)
         promised = wanted.log_bayes_factor - given.log_bayes_factor
-        return cls(fitted, wanted, given.log_bayes_factor - given.linear_gain + gained - price, promised)
+        return cls(fitted, wanted, given.with_gain(gained - price).log_bayes_factor, promised)
 
     def is_better(self, other: TriedFit) -> bool:
         """Whether it has more evidence than another one; a fit that has not converged is no evidence."""
@@ -152,7 +152,7 @@ def _fit_effect(
             break
         best = latest if latest.is_better(best) else best
     effect = best.fitted.values.active[-1].effect
-    finding = Finding(effect, replace(best.evidence, log_bayes_factor=best.log_bayes_factor))
+    finding = Finding(effect, best.evidence.with_gain(best.log_bayes_factor + best.evidence.price))
     return replace(candidate, finding=finding, log_bayes_factor=best.log_bayes_factor), best.fitted
 
 

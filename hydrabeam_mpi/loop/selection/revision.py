@@ -46,7 +46,7 @@ class Revision:
     @classmethod
     def left_out(cls, place: int, present: Evidence) -> Revision:
         """Leave the effect at a place out, of which this is the evidence with the prior that it has."""
-        return cls(place, None, present.linear_gain - present.log_bayes_factor)
+        return cls(place, None, present.price)
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,7 @@ def _taken_over(context: FitContext, fitted: Fitted, known: Known, places: Seque
             needed = present.log_bayes_factor + own.log_bayes_factor
             best = as_it_may_be(context, fitted, rest, place, needed)
             if best is not None:
-                gain = best.log_bayes_factor - best.linear_gain - present.log_bayes_factor + present.linear_gain
-                revisions = [Revision(other, best, gain), Revision.left_out(gone, own)]
+                revisions = [Revision(other, best, present.price - best.price), Revision.left_out(gone, own)]
                 found.append((best.log_bayes_factor - needed, revisions))
     for _, revisions in sorted(found, key=lambda one: -one[0]):
         again = _with_revisions(context, fitted, revisions, 0.0)
@@ -213,8 +212,7 @@ def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, 
         new = max(wanted, level, key=_log_bayes_factor)
     if new is present:
         return None
-    gain = new.log_bayes_factor - new.linear_gain - (present.log_bayes_factor - present.linear_gain)
-    return Revision(place, new, gain, unchanging if new is not wanted else None)
+    return Revision(place, new, present.price - new.price, unchanging if new is not wanted else None)
 
 
 def _log_bayes_factor(one: Evidence) -> float:

@@ -12,6 +12,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import left_of
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings, looked_for_again
 from hydrabeam_mpi.loop.attribution.weigh_together import TogetherFound, weigh_together
@@ -49,9 +50,14 @@ class Together:
         return cls(tuple(one[0] for one in beside), ordered, found.log_bayes_factor)
 
     @property
+    def evidences(self) -> list[Evidence]:
+        """What the data say of those that are effects."""
+        return [one.finding.evidence for one in self.members if one.finding]
+
+    @property
     def n_parameters(self) -> float:
         """How many parameters they have, as far as these are told."""
-        return sum(one.finding.evidence.effective_parameters for one in self.members if one.finding)
+        return sum(one.effective_parameters for one in self.evidences)
 
     def without(self, names: Collection[tuple[str, str | None]]) -> Together:
         """Return those that have none of the names (kind and law)."""
@@ -144,8 +150,7 @@ class Outlook:
             return None
         total = best.candidate.log_bayes_factor + weighed.most_of_effects
         if finding is not None:
-            n_parameters = finding.evidence.effective_parameters + weighed.together.n_parameters
-            finding = replace(finding, evidence=replace(finding.evidence, effective_parameters=n_parameters))
+            finding = replace(finding, evidence=finding.evidence.with_others(weighed.together.evidences))
         return replace(best, candidate=replace(best.candidate, log_bayes_factor=total, finding=finding))
 
     def leads_further(self, candidate: Candidate, after: Checked, best: Round) -> Weighed | None:

@@ -142,7 +142,7 @@ def as_one(rounds: Sequence[Round]) -> Round:
     Positions of all antennas may stand for a clock that is wrong together with the gain of one of them.
     """
     last, evidences = rounds[-1], [one.candidate.finding.evidence for one in rounds if one.candidate.finding]
-    evidence = replace(evidences[-1], effective_parameters=sum(one.effective_parameters for one in evidences))
+    evidence = evidences[-1].with_others(evidences[:-1])
     finding = last.candidate.finding and replace(last.candidate.finding, evidence=evidence)
     total = sum(one.candidate.log_bayes_factor for one in rounds)
     candidate = replace(last.candidate, log_bayes_factor=total, finding=finding)
@@ -294,8 +294,7 @@ def _as_fitted(
     """
     again = reconsider(context, joint, place)
     gained = rise(context, before, after) - price_of_fitted(context, after)
-    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
-    return _with_evidence(member, joint.values.active[place].effect, replace(again, log_bayes_factor=log_bayes_factor))
+    return _with_evidence(member, joint.values.active[place].effect, again.with_gain(gained))
 
 
 def _with_evidence(member: Candidate, effect: Effect, evidence: Evidence) -> Candidate:

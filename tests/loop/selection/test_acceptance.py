@@ -131,6 +131,7 @@ MAY_BE = [
     ("no simpler one where nothing is left", effect_candidate(AntennaPositions(), 90.0, effective=2.0), True, False),
     ("one with more evidence, which was tried later", effect_candidate(AntennaPositions(), 101.0), True, True),
     ("one whose places are refined only then", effect_candidate(MissingSources(), 71.0, effective=9.0), True, True),
+    ("one of these that costs more with one place", effect_candidate(MissingSources(), 71.0, 0.1, 9, 28.0), True, False),
     ("one of these with too little evidence", effect_candidate(MissingSources(), 70.0, effective=9.0), True, False),
     ("one that is scanned but linear", effect_candidate(CrossCoupling(), 90.0, effective=9.0), True, False),
 ]
@@ -161,10 +162,10 @@ UNDERWAY = [
 def test_what_a_fit_may_still_come_to(
     candidate: Candidate, at: tuple[float, float, float, float], nonlinear: bool, may: bool
 ) -> None:
-    """More than 900 are wanted of what costs 100, as ln(likelihood x prior) rises from 50."""
+    """More than 900 are wanted of what costs 100 a parameter, 300 in all, as ln(likelihood x prior) rises from 50."""
     finding = candidate.finding
     assert finding is not None
-    costly = replace(finding, evidence=replace(finding.evidence, linear_gain=1000.0))
+    costly = replace(finding, evidence=replace(finding.evidence, linear_gain=1200.0))
     risen, expected, first, now = at
     underway = Underway(50.0 + risen, expected, (50.0 + first, 50.0 + now))
     assert may_still_come_to(900.0, replace(candidate, finding=costly), underway, 50.0, nonlinear) == may
@@ -175,7 +176,7 @@ def test_what_a_fit_says_that_its_freedom_costs_counts(price: float | None, may:
     """Several sources have been weighed, and one has come to nearly as much at a part of what they cost."""
     finding = POSITIONS.finding
     assert finding is not None
-    costly = replace(finding, evidence=replace(finding.evidence, linear_gain=1000.0))
+    costly = replace(finding, evidence=replace(finding.evidence, linear_gain=1200.0))
     underway = Underway(1049.0, 0.0, (1049.0, 1049.0), price)
     assert may_still_come_to(900.0, replace(POSITIONS, finding=costly), underway, 50.0, True) == may
 
