@@ -131,7 +131,7 @@ MAY_BE = [
     ("no simpler one where nothing is left", effect_candidate(AntennaPositions(), 90.0, effective=2.0), True, False),
     ("one with more evidence, which was tried later", effect_candidate(AntennaPositions(), 101.0), True, True),
     ("one whose places are refined only then", effect_candidate(MissingSources(), 71.0, effective=9.0), True, True),
-    ("one of these that costs more with one place", effect_candidate(MissingSources(), 71.0, 0.1, 9, 28.0), True, False),
+    ("one of these that costs more at one place", effect_candidate(MissingSources(), 71.0, 0.1, 9, 28.0), True, False),
     ("one of these with too little evidence", effect_candidate(MissingSources(), 70.0, effective=9.0), True, False),
     ("one that is scanned but linear", effect_candidate(CrossCoupling(), 90.0, effective=9.0), True, False),
 ]
