@@ -30,10 +30,10 @@ NOTHING = Fitted()
 def evidence(
     log_bayes_factor: float, absorbed: float = 0.1, effective: float = 2.0, price: float = 9.0, **given: Any
 ) -> Evidence:
-    """Of four parameters, three of which are in use, in one channel."""
+    """Of four parameters, three of which are in use and elements of their own, in one channel."""
     prior_var, gain = np.array([0.04, 0.01, 0.04, 0.0]), log_bayes_factor + price
     made = Evidence(log_bayes_factor, prior_var, np.zeros((1, 4)), 2 * log_bayes_factor, effective, absorbed, 3, gain)
-    return replace(made, **given)
+    return replace(made, n_picked=3, **given)
 
 
 def effect_candidate(

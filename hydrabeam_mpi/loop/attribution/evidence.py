@@ -56,6 +56,8 @@ class Evidence:
         By how much the element of each parameter alone raises ln evidence, where the prior was looked for.
     std : ndarray, (Nblocks, q)
         Posterior standard deviations of x; zero where the prior is.
+    n_picked : int
+        How many elements were picked of several; one where all are in use.
     """
 
     log_bayes_factor: float
@@ -68,6 +70,7 @@ class Evidence:
     linear_gain: float
     alone: FloatArray = field(default_factory=lambda: np.zeros(0))
     std: FloatArray = field(default_factory=lambda: np.zeros(0))
+    n_picked: int = 1
 
     @property
     def n_parameters(self) -> int:
@@ -78,6 +81,11 @@ class Evidence:
     def price(self) -> float:
         """What the freedom of the parameters costs: what x raises of likelihood times prior, less of evidence."""
         return self.linear_gain - self.log_bayes_factor
+
+    @property
+    def least_price(self) -> float:
+        """What it costs at least: once it is fitted, an effect may want a single one of the elements picked."""
+        return self.price / self.n_picked
 
     def with_gain(self, gain: float) -> Evidence:
         """Return the evidence of a fit that raises ln(likelihood x prior) by ``gain``, at the same price."""
@@ -115,7 +123,8 @@ def find_evidence(
     if parameters.sort is not None:
         log_bayes_factor, prior_var = _of_fewer_sorts(blocks, parameters, log_bayes_factor, prior_var)
     alone = each_alone(_in_natural_sizes(blocks, parameters), parameters)
-    return replace(_describe(blocks, log_bayes_factor, prior_var, rank), alone=alone)
+    found, n_picked = _describe(blocks, log_bayes_factor, prior_var, rank), _n_picked(parameters, prior_var)
+    return replace(found, alone=alone, n_picked=n_picked)
 
 
 def _best_prior(blocks: Sequence[Likelihood], parameters: Parameters) -> tuple[float, FloatArray, int]:
@@ -200,7 +209,15 @@ def evidence_of(
     if degenerate_directions is not None and len(degenerate_directions):
         blocks = [block.freed(degenerate_directions) for block in blocks]
     rank = sum(int(np.linalg.matrix_rank(block.information, hermitian=True)) for block in blocks)
-    return _describe(blocks, log_evidence(blocks, prior_var) - price_of(parameters, prior_var), prior_var, rank)
+    log_bayes_factor = log_evidence(blocks, prior_var) - price_of(parameters, prior_var)
+    found, n_picked = _describe(blocks, log_bayes_factor, prior_var, rank), _n_picked(parameters, prior_var)
+    return replace(found, n_picked=n_picked)
+
+
+def _n_picked(parameters: Parameters, prior_var: FloatArray) -> int:
+    """Return how many elements a prior of variances (q,) picks; one where it picks all that there are, or none."""
+    n, n_all = (len(np.unique(one)) for one in (parameters.element[prior_var > 0], parameters.element))
+    return max(n, 1) if n < max(n_all, parameters.trials) else 1
 
 
 def _spectra(information: FloatArray, score: FloatArray) -> Scaled:

@@ -249,7 +249,7 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
 
     Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
     (``enough``) another can explain no more, and with no more evidence it can only be simpler, as may be what needs
-    several elements until places or delays are refined: if one of its parameters may cost less than the best one does.
+    several elements until places or delays are refined: if one of them may cost less than the best effect does.
     A structure that was found is no noise, but few integrations or baselines with something else in them may have
     looked like one; and these leave nothing of any effect that shows in few, so that it is fitted beside them.
     """
@@ -262,8 +262,10 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
         return True
     if candidate.log_bayes_factor > reached:
         return True
-    simpler = candidate.finding.effect.gets_simpler_when_fitted and least_price(candidate) < price(best.candidate)
-    return simpler and candidate.log_bayes_factor > RULES.near_if_linear * reached
+    if not candidate.log_bayes_factor > RULES.near_if_linear * reached:
+        return False
+    known, price = best.candidate.finding, candidate.finding.evidence.least_price
+    return candidate.finding.effect.gets_simpler_when_fitted and (known is None or price < known.evidence.price)
 
 
 def is_near(candidate: Candidate, log_bayes_factor: float) -> bool:
@@ -289,18 +291,7 @@ def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: f
     if not nonlinear and risen > 0 and first != now:
         rest = np.sqrt(max(now - risen, 0.0) / max(now, risen))
         most = min(most, now + max(now - first, 0.0) * rest / (1 - rest) if rest < 1 else np.inf)
-    return most - (least_price(candidate) if at.price is None else at.price) > least
-
-
-def price(candidate: Candidate) -> float:
-    """Return what the freedom of an effect's parameters costs, in nats; nothing for a change of the weights."""
-    return candidate.finding.evidence.price if candidate.finding else 0.0
-
-
-def least_price(candidate: Candidate) -> float:
-    """Return what it costs at least: once it is fitted, an effect may want a single one of its parameters."""
-    n_used = np.count_nonzero(candidate.finding.evidence.prior_var) if candidate.finding else 0
-    return price(candidate) / max(n_used, 1)
+    return most - (candidate.finding.evidence.least_price if at.price is None else at.price) > least
 
 
 def complexity(candidate: Candidate) -> float:

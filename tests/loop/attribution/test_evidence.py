@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,15 @@ from scipy.stats import multivariate_normal
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
-from hydrabeam_mpi.loop.attribution.evidence import TAUS, Evidence, Likelihood, find_evidence, price_of, solve
+from hydrabeam_mpi.loop.attribution.evidence import (
+    TAUS,
+    Evidence,
+    Likelihood,
+    evidence_of,
+    find_evidence,
+    price_of,
+    solve,
+)
 from hydrabeam_mpi.random import generator
 
 N_DATA, N_MODES = 40, 6
@@ -155,6 +164,39 @@ def test_few_among_many() -> None:
     _, (covariance,) = solve([model.likelihood], found.prior_var)
     used = found.prior_var > 0
     assert np.all(np.abs(found.x[0] - x)[used] < 4 * np.sqrt(np.diag(covariance)[used]))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "at_fault", "n_picked"),
+    [
+        pytest.param(of_elements(6, 1), [0, 3], 2, id="two of six"),
+        pytest.param(of_elements(6, 1), range(6), 1, id="all that there are"),
+        pytest.param(of_elements(2, 3, trials=300), [0, 1], 2, id="two of a scan of many"),
+        pytest.param(of_one_element(6), [0], 1, id="a single one"),
+    ],
+)
+def test_of_elements_that_were_picked_one_alone_costs_its_part(
+    parameters: Parameters, at_fault: Iterable[int], n_picked: int
+) -> None:
+    x = np.where(np.isin(parameters.element, list(at_fault)), 4.0, 0.0)
+    model = make_model(6, 7, x)
+    found = find_evidence([model.likelihood], parameters)
+    assert len(taken_elements(found, parameters)) == len(list(at_fault))
+    assert found.price > 0
+    assert found.n_picked == n_picked
+    assert found.least_price == pytest.approx(found.price / n_picked)
+    assert evidence_of([model.likelihood], parameters, found.prior_var).n_picked == n_picked
+
+
+def test_what_a_fit_gains_counts_at_the_same_price() -> None:
+    found = find_evidence([make_model(3, 2, np.full(3, 2.0)).likelihood], of_one_element(3))
+    fitted = found.with_gain(found.linear_gain + 7.0)
+    assert fitted.log_bayes_factor == pytest.approx(found.log_bayes_factor + 7.0)
+    assert fitted.price == pytest.approx(found.price)
+    both = found.with_others([fitted])
+    assert both.log_bayes_factor == pytest.approx(found.log_bayes_factor + fitted.log_bayes_factor)
+    assert both.price == pytest.approx(2 * found.price)
+    assert both.effective_parameters == pytest.approx(2 * found.effective_parameters)
 
 
 def test_all_at_fault_is_no_few() -> None:

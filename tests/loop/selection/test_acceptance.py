@@ -162,7 +162,7 @@ UNDERWAY = [
 def test_what_a_fit_may_still_come_to(
     candidate: Candidate, at: tuple[float, float, float, float], nonlinear: bool, may: bool
 ) -> None:
-    """More than 900 are wanted of what costs 100 a parameter, 300 in all, as ln(likelihood x prior) rises from 50."""
+    """More than 900 are wanted of what costs 100 an element, 300 in all, as ln(likelihood x prior) rises from 50."""
     finding = candidate.finding
     assert finding is not None
     costly = replace(finding, evidence=replace(finding.evidence, linear_gain=1200.0))
