@@ -10,6 +10,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import Selection, match
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.noise import odd_autocorrelations
 from hydrabeam_mpi.io.uvdata import check_nsamples
 from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, UVHeader, read_metadata, read_uvdata
@@ -111,6 +112,8 @@ def summarise(files: Sequence[Path]) -> Summary:
         uv = read_uvdata(path, header.kind, **({"read_data": False} if header.kind in READ_IN_PART else {}))
         for name, values in stated.items():
             values |= {str(getattr(uv, name))} if getattr(uv, name) else set()
+    if good_antennas and not living:
+        raise InputError("all visibilities that are not flagged are zero", file=files[0], remedy="check what wrote it")
     return Summary(
         observation=observation,
         pol=pol,

@@ -226,6 +226,17 @@ def test_dead_and_absurd_antennas_are_left_out(write: Callable[..., Path], tmp_p
     assert load(text, tmp_path).data.exclude_antennas == (11, 20)
 
 
+def test_data_of_nothing_but_zeros_are_refused(write: Callable[..., Path]) -> None:
+    """No antenna is left of them, and no job would say so."""
+
+    def damage(uv: UVData) -> None:
+        uv.data_array[uv.ant_1_array != uv.ant_2_array] = 0
+
+    path = write(damage)
+    with pytest.raises(InputError, match=rf"{path.name}.*: all visibilities that are not flagged are zero"):
+        job_from_data([path])
+
+
 def test_antennas_of_unlike_power_are_not_absurd(write: Callable[..., Path], tmp_path: Path) -> None:
     def scale(uv: UVData) -> None:
         for ant, power in zip(NUMBERS, (0.3, 0.8, 1.0, 1.5, 4.0), strict=True):

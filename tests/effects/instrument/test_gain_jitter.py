@@ -5,7 +5,7 @@ import pytest
 
 from hydrabeam_mpi import InputError
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
-from hydrabeam_mpi.effects.instrument.gain_jitter import GainJitter
+from hydrabeam_mpi.effects.instrument.gain_jitter import MOST_COLUMNS, GainJitter
 from tests.effects.small import small_block, small_setup
 
 
@@ -58,6 +58,18 @@ def test_what_all_phases_have_in_common_cancels() -> None:
     np.testing.assert_allclose(held @ held.T, np.eye(4), atol=1e-14)
     for one in held:
         np.testing.assert_allclose(every.factor(block, one), 1, atol=1e-14)
+
+
+@pytest.mark.parametrize("n_times", [4, 200, 600])
+def test_as_many_are_weighed_together_as_there_is_room_for(n_times: int) -> None:
+    """All of a small array, or those that explain most: a part that is left out would pass for drifts of the rest."""
+    setup = small_setup(n_times=n_times)
+    order = np.random.default_rng(1).permutation(GainJitter().n_hypotheses(setup))
+    every = [GainJitter().at(setup, np.array([one])).gains_of[0] for one in order]
+    taken = GainJitter().at(setup, order).gains_of
+    assert len(taken) == max(min(len(every), MOST_COLUMNS // n_times), 1)
+    assert list(taken) == every[: len(taken)]
+    assert (len(taken) == len(every)) == (n_times == 4)
 
 
 @pytest.mark.parametrize(
