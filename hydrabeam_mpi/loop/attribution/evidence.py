@@ -123,8 +123,7 @@ def find_evidence(
     if parameters.sort is not None:
         log_bayes_factor, prior_var = _of_fewer_sorts(blocks, parameters, log_bayes_factor, prior_var)
     alone = each_alone(_in_natural_sizes(blocks, parameters), parameters)
-    found, n_picked = _describe(blocks, log_bayes_factor, prior_var, rank), _n_picked(parameters, prior_var)
-    return replace(found, alone=alone, n_picked=n_picked)
+    return replace(_describe(blocks, parameters, log_bayes_factor, prior_var, rank), alone=alone)
 
 
 def _best_prior(blocks: Sequence[Likelihood], parameters: Parameters) -> tuple[float, FloatArray, int]:
@@ -210,8 +209,7 @@ def evidence_of(
         blocks = [block.freed(degenerate_directions) for block in blocks]
     rank = sum(int(np.linalg.matrix_rank(block.information, hermitian=True)) for block in blocks)
     log_bayes_factor = log_evidence(blocks, prior_var) - price_of(parameters, prior_var)
-    found, n_picked = _describe(blocks, log_bayes_factor, prior_var, rank), _n_picked(parameters, prior_var)
-    return replace(found, n_picked=n_picked)
+    return _describe(blocks, parameters, log_bayes_factor, prior_var, rank)
 
 
 def _n_picked(parameters: Parameters, prior_var: FloatArray) -> int:
@@ -266,7 +264,9 @@ def log_evidence(blocks: Sequence[Likelihood], prior_var: FloatArray) -> float:
     return sum(_with_prior(block, prior_var).log_evidence() or 0.0 for block in blocks)
 
 
-def _describe(blocks: Sequence[Likelihood], log_bayes_factor: float, prior_var: FloatArray, rank: int) -> Evidence:
+def _describe(
+    blocks: Sequence[Likelihood], parameters: Parameters, log_bayes_factor: float, prior_var: FloatArray, rank: int
+) -> Evidence:
     """Work out what follows from the chosen prior."""
     x, covariances = solve(blocks, prior_var)
     drop = seen = present = effective = 0.0
@@ -281,4 +281,5 @@ def _describe(blocks: Sequence[Likelihood], log_bayes_factor: float, prior_var: 
     gain = 0.5 * drop - 0.5 * float(np.sum(x[:, used] ** 2 / prior_var[used]))
     std = np.array([np.sqrt(np.maximum(np.diag(covariance), 0.0)) for covariance in covariances])
     absorbed = float(np.clip(absorbed, 0.0, 1.0))
-    return Evidence(log_bayes_factor, prior_var, x, drop, effective, absorbed, rank, gain, std=std)
+    n_picked = _n_picked(parameters, prior_var)
+    return Evidence(log_bayes_factor, prior_var, x, drop, effective, absorbed, rank, gain, std=std, n_picked=n_picked)

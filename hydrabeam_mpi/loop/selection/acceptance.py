@@ -262,10 +262,10 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
         return True
     if candidate.log_bayes_factor > reached:
         return True
-    if not candidate.log_bayes_factor > RULES.near_if_linear * reached:
+    own, others = candidate.finding, best.candidate.finding
+    if not (own.effect.gets_simpler_when_fitted and candidate.log_bayes_factor > RULES.near_if_linear * reached):
         return False
-    known, price = best.candidate.finding, candidate.finding.evidence.least_price
-    return candidate.finding.effect.gets_simpler_when_fitted and (known is None or price < known.evidence.price)
+    return others is None or own.evidence.least_price < others.evidence.price
 
 
 def is_near(candidate: Candidate, log_bayes_factor: float) -> bool:

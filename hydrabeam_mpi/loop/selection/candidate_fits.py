@@ -111,7 +111,7 @@ class TriedFit:
         wanted, given = compare_priors(context, fitted, known, place, own)
         gained, price = rise(context, before, fitted), price_of_fitted(context, fitted)
         promised = wanted.log_bayes_factor - given.log_bayes_factor
-        return cls(fitted, wanted, given.with_gain(gained - price).log_bayes_factor, promised)
+        return cls(fitted, wanted, gained - price - given.price, promised)
 
     def is_better(self, other: TriedFit) -> bool:
         """Whether it has more evidence than another one; a fit that has not converged is no evidence."""

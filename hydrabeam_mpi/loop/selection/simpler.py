@@ -121,7 +121,7 @@ def _present(context: FitContext, last: Checked, without: Checked, own: Active, 
     parameters, spared = own.effect.parameters(context.setup), _kinds(simpler.parameters(context.setup))
     placed = [parameters.nonlinear[i] and _kind(parameters.names[i]) not in spared for i in own.used.tolist()]
     narrower = (own.prior.of(0).std() / now.fit.std[-1][0, own.used])[placed]
-    risen = evidence.with_gain(rise(context, without.fitted, now)).log_bayes_factor
+    risen = rise(context, without.fitted, now) - evidence.price
     evidence = replace(evidence, effective_parameters=evidence.effective_parameters + len(narrower))
     candidate = Candidate.of(Finding(own.effect, evidence))
     beyond = context.problem.job.loop.min_log_bayes_factor
