@@ -55,7 +55,12 @@ EFFECTS: Registry[Effect] = Registry(
 """Effects that change what the data are expected to be."""
 
 REWEIGHTINGS: Registry[Reweighting] = Registry(
-    "hydrabeam_mpi.effects", "noise.noise_level", "noise.outliers", "noise.bad_integrations", "noise.bad_baselines"
+    "hydrabeam_mpi.effects",
+    "noise.noise_level",
+    "noise.outliers",
+    "noise.bad_integrations",
+    "noise.unknown_integrations",
+    "noise.bad_baselines",
 )
 """Changes of how much the data weigh."""
 

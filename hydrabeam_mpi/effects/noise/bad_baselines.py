@@ -41,7 +41,7 @@ class BadBaselines(StandingOut):
         """Return the noise scales of baselines, (1, Nbls)."""
         return x[np.newaxis, bls]
 
-    def choices(self, setup: ObservingSetup, sums: Sums) -> Sequence[Choice]:
+    def choices(self, setup: ObservingSetup, sums: Sums, further: FloatArray) -> Sequence[Choice]:
         """Return those that stand out among all, and all those of antennas that stand out with others that do beside.
 
         Of seven antennas one has more than a quarter of all baselines, and is one of a few antennas nevertheless.

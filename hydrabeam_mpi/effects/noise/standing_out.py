@@ -70,6 +70,8 @@ class StandingOut(Reweighting):
     weighs_heldout = True
     parts: ClassVar[str]
     """What they are, in words."""
+    n_further: ClassVar[int] = 0
+    """How many `further` sums a part has."""
 
     @property
     def at_own_level(self) -> bool:
@@ -88,8 +90,15 @@ class StandingOut(Reweighting):
     def scales(self, setup: ObservingSetup, times: IntArray, bls: IntArray, x: FloatArray) -> FloatArray:
         """Return the noise scales of rows by the parameters, (n_params,), to be broadcast to (Ntimes, Nbls)."""
 
-    def choices(self, setup: ObservingSetup, sums: Sums) -> Sequence[Choice]:
-        """Return which of the parts that are looked at may be bad, in one way or another."""
+    def further(self, setup: ObservingSetup, times: IntArray, bls: IntArray, z: ComplexArray) -> list[FloatArray]:
+        """Return more sums by part, `n_further` of (Nparts,), of whitened rows, (Ntimes, Nbls), zero where none are."""
+        return []
+
+    def choices(self, setup: ObservingSetup, sums: Sums, further: FloatArray) -> Sequence[Choice]:
+        """Return which of the parts that are looked at may be bad, in one way or another.
+
+        Of these are the `Sums` and the `further` sums, (n_further, Nfreqs, 2, Nparts), of fitted and of held-out rows.
+        """
         return [choose(sums)]
 
     def is_told(self, x: FloatArray) -> BoolArray:
@@ -101,12 +110,16 @@ class StandingOut(Reweighting):
         return (len(self.looked_at(setup)),)
 
     def n_sums(self, setup: ObservingSetup) -> int:
-        """Return 6 Nparts: of fitted and of held-out rows, numbers, logarithms and powers."""
+        """Return how many there are: of fitted and of held-out rows, numbers, logarithms, powers and further ones."""
         nothing = np.zeros(0, dtype=int)
-        return 6 * len(self.by_part(setup, nothing, nothing, np.zeros((0, 0))))
+        return 2 * self._n_by_part * len(self.by_part(setup, nothing, nothing, np.zeros((0, 0))))
+
+    @property
+    def _n_by_part(self) -> int:
+        return len(Sums._fields) + self.n_further
 
     def sums(self, block: RowBlock, z: ComplexArray) -> FloatArray:
-        """Return by part how many rows there are and the sums of ln |z|^2 and of |z|^2, (n_sums,)."""
+        """Return by part how many rows there are, the sums of ln |z|^2 and of |z|^2, and further ones, (n_sums,)."""
         found = self._sums(block.setup, block.times, block.bls, z)
         return np.concatenate([found, np.zeros_like(found)])
 
@@ -116,16 +129,18 @@ class StandingOut(Reweighting):
         return np.concatenate([np.zeros_like(found), found])
 
     def _sums(self, setup: ObservingSetup, times: IntArray, bls: IntArray, z: ComplexArray) -> FloatArray:
-        """Return numbers, sums of ln |z|^2 less its mean for noise, and of |z|^2; no row where z is zero."""
+        """Return numbers, sums of ln |z|^2 less its mean for noise, of |z|^2, and others; no row where z is zero."""
         known = z != 0
         power = np.where(known, np.abs(z) ** 2, 1.0)
         each = known.astype(float), np.where(known, np.log(power) - LOG_MEAN, 0.0), np.where(known, power, 0.0)
-        return np.concatenate([self.by_part(setup, times, bls, rows) for rows in each])
+        by_part = [self.by_part(setup, times, bls, rows) for rows in each]
+        return np.concatenate([*by_part, *self.further(setup, times, bls, z)])
 
     def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
         """Find the parts that stand out and weigh them, with ``sums`` (Nfreqs, n_sums)."""
-        by_part = Sums(*sums.reshape(len(sums), 2, 3, -1).transpose(2, 0, 1, 3)).of(self.looked_at(setup))
-        found = [self._weighed(setup, by_part, choice) for choice in self.choices(setup, by_part)]
+        each = sums.reshape(len(sums), 2, self._n_by_part, -1).transpose(2, 0, 1, 3)[..., self.looked_at(setup)]
+        by_part, further = Sums(*each[: len(Sums._fields)]), each[len(Sums._fields) :]
+        found = [self._weighed(setup, by_part, choice) for choice in self.choices(setup, by_part, further)]
         return max(found, key=lambda one: one.log_bayes_factor)
 
     def _weighed(self, setup: ObservingSetup, sums: Sums, choice: Choice) -> ReweightingFit:

@@ -72,15 +72,15 @@ def test_the_evidence_is_that_of_the_marginal_likelihood() -> None:
 
 @pytest.mark.parametrize("n_freqs", [2, 8])
 def test_what_hardly_shows_in_one_channel_shows_in_all(n_freqs: int) -> None:
-    """Noise larger by 1.6 in all channels; another integration is bad in one of them, and in no other."""
+    """Noise twice as large in all channels; another integration is bad in one of them, and in no other."""
     setup = small_setup(freqs=tuple(131e6 + 1e6 * np.arange(n_freqs)), n_times=40)
     change = BadIntegrations()
     told, alone, elsewhere, false = [], [], [], []
     for seed in range(30):
         rng = generator(seed, "channels")
-        z = [complex_normal(rng, (40, 60)) for _ in range(n_freqs)]
+        z = [complex_normal(rng, BLOCK.shape) for _ in range(n_freqs)]
         for one in z:
-            one[19] *= 1.6
+            one[19] *= 2.0
         z[0][5] *= 5.0
         sums = np.array(
             [

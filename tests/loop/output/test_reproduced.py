@@ -86,13 +86,16 @@ def test_two_effects_with_other_weights_in_a_basis_that_grew(tmp_path: Path) -> 
     fitted = fitted_to(context, tmp_path)
     first, *others = fitted.values.active
     widths = np.array([1.0, 2.0])[:, np.newaxis] * first.prior.of(0).std()
-    scales = np.ones((2, len(context.setup.times)))
-    scales[0, 3], scales[:, 4] = 20.0, 30.0
+    scales, unknown = np.ones((2, 2, len(context.setup.times)))
+    scales[0, 3], scales[:, 4], unknown[:, 5] = 20.0, 30.0, 4.0
     of_baselines = np.ones((2, context.setup.observation.Nbls))
     of_baselines[:, 5] = 10.0
     weights = {
-        "noise_level": np.array([[1.5], [1.2]]), "bad_integrations": scales, "bad_baselines": of_baselines
-    }  # fmt: skip
+        "noise_level": np.array([[1.5], [1.2]]),
+        "bad_integrations": scales,
+        "unknown_integrations": unknown,
+        "bad_baselines": of_baselines,
+    }
     values = Values(
         (_with_widths(first, widths), *others),
         tuple(Reweighted(make_reweighting(kind, {}), x, 0.1 * x) for kind, x in weights.items()),
@@ -100,7 +103,7 @@ def test_two_effects_with_other_weights_in_a_basis_that_grew(tmp_path: Path) -> 
     fitted = settle(context, refit(context, values, fitted))
     job = amended_job(context.problem.job, fitted, context.setup)
     np.testing.assert_allclose(job.effects[0].prior_std, widths, rtol=1e-14)
-    assert [len(entry.prior_std) for entry in job.effects] == [2, 1, 1, 0, 0, 0]
+    assert [len(entry.prior_std) for entry in job.effects] == [2, 1, 1, 0, 0, 0, 0]
     assert_same(context, fitted, again(context, fitted, tmp_path))
     basis = grown_problem(context.problem, context.setup, fitted.values).basis
     assert basis.n_modes == context.problem.basis.n_modes + len(fitted.values.active[1].used)

@@ -33,6 +33,9 @@ LEFT_OUT = ("bad_integrations", "bad_baselines")
 """Not wrong as names: `faults_told.faults_not_so` asks of each integration, antenna and baseline that is left out
 whether it may be."""
 
+OF_UNKNOWN = "unknown_integrations"
+"""Left out as something is in them that nobody knows: so where something is wrong that is not named."""
+
 CONVENTION_NAMES = {
     "conjugated": "conjugated",
     "halved": "factor 1/2",
@@ -76,6 +79,10 @@ def not_so(answer: dict[str, Any], loop: dict[str, Any]) -> list[str]:
     for one in kept(loop):
         name = one["effect"]
         if name == f"convention: {convention}" or name in LEFT_OUT:
+            continue
+        if name == OF_UNKNOWN:
+            named = [any(same(kind, other["effect"]) for other in kept(loop)) for kind in kinds]
+            out += [name] if all(named) else []
             continue
         so = [
             effect
