@@ -25,7 +25,7 @@ class UnknownIntegrations(BadIntegrations):
     """
 
     kind = "unknown_integrations"
-    title = "integrations with something unknown that redundant baselines share"
+    title = "integrations with an unknown signal"
     is_of_unknown = True
 
     def choices(self, setup: ObservingSetup, sums: Sums, further: FloatArray) -> Sequence[Choice]:
