@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky
+from scipy.linalg import LinAlgError
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
@@ -32,6 +32,7 @@ from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Active, Estimate
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import Prior
+from hydrabeam_mpi.inference.rank_update import with_product
 
 ADDED = "added"
 """Name of the block of what effects add."""
@@ -120,9 +121,8 @@ def without_beam(
     # E was as it is when the beam was fitted, so that its best value is another one.
     by_added = kappa * own * sums.projection[ADDED]
     across, square = sums.gather([BEAM], [ADDED]), sums.own(ADDED).real
-    both = (across + 0.5 * own[:, np.newaxis] * square) @ own.conj()[np.newaxis]
     try:
-        factor = cholesky(beam.precision + kappa * (both + both.conj().T), lower=True, overwrite_a=True)
+        factor = with_product(beam.factor, kappa * (across[:, 0] + 0.5 * own * square[0, 0]), own)
     except LinAlgError:
         # Of a beam of which some combinations are hardly told rounding may leave no more than that.
         return Marginal(sums, BEAM, beam, pull)

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.linalg.blas import dtrmm, ztrmm
-from scipy.linalg.lapack import dpotri, zpotri
+from scipy.linalg.lapack import dlauum, dpotri, zlauum, zpotri
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
@@ -77,8 +76,11 @@ class Posterior:
     @cached_property
     def precision(self) -> Array:
         """P, (n, n)."""
-        multiply = ztrmm if self.is_complex else dtrmm
-        return np.asarray(multiply(1.0, self.factor, self.factor.conj().T, lower=1))
+        # LAPACK multiplies an upper triangle by its adjoint, which with rows and columns turned round the lower one is.
+        multiply = zlauum if self.is_complex else dlauum
+        upper, _ = multiply(np.asfortranarray(self.factor[::-1, ::-1]), lower=0, overwrite_c=1)
+        complete_hermitian(upper)
+        return np.ascontiguousarray(upper[::-1, ::-1])
 
     def largest(self, k: int) -> tuple[FloatArray, Array]:
         """Return the ``k`` largest eigenvalues of the precision, descending, (k,), and their eigenvectors, (n, k).
