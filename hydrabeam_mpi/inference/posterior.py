@@ -78,7 +78,7 @@ class Posterior:
         """P, (n, n)."""
         # LAPACK multiplies an upper triangle by its adjoint, which with rows and columns turned round the lower one is.
         multiply = zlauum if self.is_complex else dlauum
-        upper, _ = multiply(np.asfortranarray(self.factor[::-1, ::-1]), lower=0, overwrite_c=1)
+        upper, _ = multiply(np.array(self.factor[::-1, ::-1], order="F"), lower=0, overwrite_c=1)
         complete_hermitian(upper)
         return np.ascontiguousarray(upper[::-1, ::-1])
 
