@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+IN_A_SECOND = 1000
+"""Rows of a matrix that is decomposed in about a second."""
+
 
 def eigen(matrix: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """Return the eigenvalues, rising, and the eigenvectors of Hermitian matrices, (..., n) and (..., n, n).

@@ -22,6 +22,7 @@ from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.shared.in_time import InTime
 from hydrabeam_mpi.effects.shared.per_antenna import antennas_named, logarithm_of, product_of_gains
 from hydrabeam_mpi.effects.shared.time_laws import Smooth
+from hydrabeam_mpi.eigen import IN_A_SECOND
 from hydrabeam_mpi.errors import InputError
 
 Part = Literal["ln amplitude", "phase"]
@@ -31,10 +32,10 @@ BY_PART = np.array([1, 1j])
 MOST_TIMES = 600
 """Integrations at most, of which an amplitude or a phase has a parameter each. That is about time alone: products of so
 many columns take as long as those of all other effects together."""
-MOST_COLUMNS = 1000
-"""Parameters that are weighed together, of which a visibility has no more than four, so that their sums take little:
-matrices of that size are decomposed in a second. They are ten antennas in fifty integrations; all that jitter have to
-be in the model before a drift, or anything else, can be told from what they leave."""
+MOST_COLUMNS = IN_A_SECOND
+"""Parameters that are weighed together, of which a visibility has no more than four, so that their sums take little.
+They are ten antennas in fifty integrations; all that jitter have to be in the model before a drift, or anything else,
+can be told from what they leave."""
 
 
 class GainJitter(ScannedEffect):

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array, hstack
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.eigen import IN_A_SECOND
 from hydrabeam_mpi.fit.blocks import member_of_rows
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.context import FitContext
@@ -31,9 +32,9 @@ AXES = ("channels", "times", "baselines")
 MOST_PARTS = 4
 """Blocks of times or of channels, and folds of redundant groups: so few that each tells the parameters by itself, and
 that slow changes do not look like several that agree; their spread is seen to two fifths."""
-MOST_COLUMNS = 1000
-"""Parameters times parts at most: such matrices are decomposed in a second. Effects with many parameters are compared
-in fewer parts; with too many for two parts they are not asked."""
+MOST_COLUMNS = IN_A_SECOND
+"""Parameters times parts at most. Effects with many parameters are compared in fewer parts; with too many for two parts
+they are not asked."""
 
 
 @dataclass(frozen=True)
