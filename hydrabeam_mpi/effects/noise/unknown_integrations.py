@@ -21,7 +21,7 @@ from hydrabeam_mpi.random import complex_normal
 class UnknownIntegrations(BadIntegrations):
     """Integrations to leave out, as they have what redundant baselines share and no effect describes.
 
-    The parameters of a channel are those of `BadIntegrations`.
+    The parameters of a channel are the noise scales of all integrations: one for those that are as they should be.
     """
 
     kind = "unknown_integrations"
