@@ -43,10 +43,6 @@ class Sums(NamedTuple):
     logs: FloatArray
     powers: FloatArray
 
-    def of(self, parts: IntArray | BoolArray) -> Sums:
-        """Return those of some parts."""
-        return Sums(*(one[..., parts] for one in self))
-
     def without(self, parts: BoolArray) -> Sums:
         """Return the same with nothing of some parts of each channel, (Nfreqs, Nparts)."""
         return Sums(*(np.where(parts[:, np.newaxis], 0.0, one) for one in self))
