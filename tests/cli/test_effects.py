@@ -12,7 +12,7 @@ def test_each_has_a_line_with_its_title(capfd: pytest.CaptureFixture[str]) -> No
     assert main(["effects"]) == 0
     lines = capfd.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == list(KINDS)
-    assert f"timestamp           {EFFECTS['timestamp'].title}" in lines
+    assert f"{'timestamp':{max(map(len, KINDS))}}  {EFFECTS['timestamp'].title}" in lines
 
 
 def test_one_is_told_with_its_equation_settings_and_parameters(capfd: pytest.CaptureFixture[str]) -> None:
