@@ -5,8 +5,8 @@ With P = L L^H, a = L^-1 u and b = L^-1 v
     P + u v^H + v u^H = L (1 + a b^H + b a^H) L^H = L (1 + p e e^H - q f f^H) L^H
 
 where p and -q are the two eigenvalues of a b^H + b a^H. So p L e e^H L^H is added and q L f f^H L^H is taken away, a
-column of the factor after the other (Golub and Van Loan 2013, section 6.5.4). No less can be taken away, by which
-rounding errors would grow.
+column of the factor after the other (Golub and Van Loan 2013, section 6.5.4). Rounding errors grow with what is taken
+away, and no other two products take away less.
 """
 
 from __future__ import annotations

@@ -195,9 +195,13 @@ class Reweighting(ABC):
 
 def with_more_noise(data: ComplexArray, block: RowBlock, more: FloatArray, rng: np.random.Generator) -> ComplexArray:
     """Return data, (Ntimes, Nbls), with noise of ``more`` times the variance that the weights stand for added."""
+    return data + std_of_more(block, more) * complex_normal(rng, block.shape)
+
+
+def std_of_more(block: RowBlock, more: FloatArray) -> FloatArray:
+    """Return the standard deviation of ``more`` times the variance that the weights stand for, (Ntimes, Nbls), Jy."""
     used = block.weights > 0
-    variance = np.where(used, np.maximum(more, 0.0) / np.where(used, block.weights, 1.0), 0.0)
-    return data + np.sqrt(variance) * complex_normal(rng, block.shape)
+    return np.sqrt(np.where(used, np.maximum(more, 0.0) / np.where(used, block.weights, 1.0), 0.0))
 
 
 def fitted_counts(counts: FloatArray, effective_parameters: Array) -> FloatArray:

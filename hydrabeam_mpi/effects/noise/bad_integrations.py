@@ -16,7 +16,7 @@ Where the latter is more, the integration has such a signal, of which nobody kno
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -25,6 +25,19 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.noise.standing_out import Choice, StandingOut, Sums, choose, means_of
 from hydrabeam_mpi.inference.robust import known_median
+
+
+class Redundant(NamedTuple):
+    """Of redundant groups of which an integration has several rows: how many, of how many rows, and their power.
+
+    ``common`` is the power of what all rows of a group have in common, G for noise, and ``power`` that of all, N. All
+    are (Nfreqs, 2, Ntimes), of fitted and of held-out rows.
+    """
+
+    groups: FloatArray
+    rows: FloatArray
+    common: FloatArray
+    power: FloatArray
 
 
 class BadIntegrations(StandingOut):
@@ -36,7 +49,9 @@ class BadIntegrations(StandingOut):
     kind = "bad_integrations"
     title = "bad integrations"
     parts = "integrations"
-    n_further = 4
+    n_further = len(Redundant._fields)
+    have_signal: ClassVar[bool] = False
+    """Whether they are those that have a signal of the sky, and not those that have noise of their own size."""
 
     def neutral(self, setup: ObservingSetup) -> dict[str, float]:
         """Return ones."""
@@ -66,25 +81,13 @@ class BadIntegrations(StandingOut):
         return [self.by_part(setup, times, bls, one) for one in each]
 
     def choices(self, setup: ObservingSetup, sums: Sums, further: FloatArray) -> Sequence[Choice]:
-        """Return those that stand out, without those that have a signal of the sky."""
+        """Return those that stand out and have a signal of the sky, or have none."""
         choice = choose(sums)
-        return [choice._replace(bad=choice.bad & ~have_signal(choice, sums, Redundant(*further)))]
+        have_signal = _have_signal(choice, sums, Redundant(*further))
+        return [choice._replace(bad=choice.bad & (have_signal == self.have_signal))]
 
 
-class Redundant(NamedTuple):
-    """Of redundant groups of which an integration has several rows: how many, of how many rows, and their power.
-
-    ``common`` is the power of what all rows of a group have in common, G for noise, and ``power`` that of all, N. All
-    are (Nfreqs, 2, Ntimes), of fitted and of held-out rows.
-    """
-
-    groups: FloatArray
-    rows: FloatArray
-    common: FloatArray
-    power: FloatArray
-
-
-def have_signal(choice: Choice, sums: Sums, redundant: Redundant) -> BoolArray:
+def _have_signal(choice: Choice, sums: Sums, redundant: Redundant) -> BoolArray:
     """Return which integrations have rather a signal of the sky than noise of their own size, (Ntimes,)."""
     groups, rows, common, power = redundant
     ratios = means_of(sums.powers, sums.numbers)

@@ -6,15 +6,12 @@ that hides a bright source for the time of one integration.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.reweighting import std_of_more
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.noise.bad_integrations import BadIntegrations, Redundant, have_signal
-from hydrabeam_mpi.effects.noise.standing_out import Choice, Sums, choose
+from hydrabeam_mpi.effects.noise.bad_integrations import BadIntegrations
 from hydrabeam_mpi.random import complex_normal
 
 
@@ -27,16 +24,10 @@ class UnknownIntegrations(BadIntegrations):
     kind = "unknown_integrations"
     title = "integrations with an unknown signal"
     is_of_unknown = True
-
-    def choices(self, setup: ObservingSetup, sums: Sums, further: FloatArray) -> Sequence[Choice]:
-        """Return those that stand out and have such a signal."""
-        choice = choose(sums)
-        return [choice._replace(bad=choice.bad & have_signal(choice, sums, Redundant(*further)))]
+    have_signal = True
 
     def inject(self, data: ComplexArray, block: RowBlock, x: FloatArray, rng: np.random.Generator) -> ComplexArray:
         """Add a signal of variance (s^2 - 1) sigma^2 that redundant baselines share, (Ntimes, Nbls)."""
-        used = block.weights > 0
         more = self.scales(block.setup, block.times, block.bls, x) ** 2 - 1
-        variance = np.where(used, np.maximum(more, 0.0) / np.where(used, block.weights, 1.0), 0.0)
         signal = complex_normal(rng, (len(block.times), len(block.groups)))
-        return data + np.sqrt(variance) * signal[:, block.member]
+        return data + std_of_more(block, more) * signal[:, block.member]
