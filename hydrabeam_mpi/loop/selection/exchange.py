@@ -14,6 +14,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_near
 from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.prior_widths import Adapted
 from hydrabeam_mpi.loop.selection.refits import rise
 from hydrabeam_mpi.loop.selection.refusal import rise_of_rms
 from hydrabeam_mpi.loop.selection.trials import round_of, try_effects
@@ -27,14 +28,16 @@ def exchange(
     effects: Sequence[Effect],
     tried: list[tuple[Candidate, str]],
     only_more: bool = False,
+    adapted: Sequence[Adapted] = (),
 ) -> tuple[Round, dict[int, int | None]] | None:
     """Give the place of one effect to another that came near it when it was chosen, if that is better now.
 
     While something else is missing, an effect with many parameters may take up a part of that and so come before the
-    right one. So each effect that is not the newest is left out, and those that had come near are weighed and fitted
-    beside all the others, as in any round. The best of them is taken if it has more evidence, with the held-out data's
-    density, than the effect that it replaces, and their rms does not rise. An effect is asked once less is left of the
-    fitted data than was explained since: before that it may still have taken up what is missing.
+    right one. A beam whose prior is too narrow lacks something as well. So each effect since which another was found,
+    or other widths of that prior, is left out, and those that had come near are weighed and fitted beside all the
+    others, as in any round. The best of them is taken if it has more evidence, with the held-out data's density, than
+    the effect that it replaces, and their rms does not rise. An effect is asked once less is left of the fitted data
+    than was explained since: before that it may still have taken up what is missing.
 
     Collective: all ranks of the grid.
 
@@ -50,6 +53,8 @@ def exchange(
         Receives what was refused, as for `try_effects`.
     only_more : bool
         Whether only those are fitted that have more evidence than the one that is there by the linear model already.
+    adapted : sequence of Adapted
+        What was decided of the widths of the beam's prior so far.
 
     Returns
     -------
@@ -60,6 +65,7 @@ def exchange(
         if found.place is None:
             continue
         is_asked = not all(one.revoked for one in rounds[number + 1 :]) and _is_mostly_explained(context, found, last)
+        is_asked = is_asked or any(one.is_of_widths and one.n_rounds > number for one in adapted)
         near = _near(found, last, effects) if is_asked else []
         better = _better_than(context, last, found, near, tried, only_more) if near else None
         if better is not None:

@@ -166,7 +166,7 @@ class _Rounds:
         """Exchange an effect for a better one, or for a simpler one; return the round. Collective: all ranks."""
         context, history = self.search.context, self.search.history
         given = context, history.last, history.rounds, self.effects, history.tried
-        found = exchange(*given, only_more) or (simplified(*given) if or_simpler else None)
+        found = exchange(*given, only_more, history.adapted) or (simplified(*given) if or_simpler else None)
         if found is None:
             return None
         added, places = found

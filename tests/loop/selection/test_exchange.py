@@ -17,11 +17,13 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
 from hydrabeam_mpi.loop.selection.exchange import exchange, in_place_of
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.prior_widths import Adapted
 from hydrabeam_mpi.loop.selection.rounds import Search, run_round
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
@@ -167,6 +169,22 @@ def test_what_is_right_keeps_its_place(context: FitContext) -> None:
     so_far = rounds(context, GAINS, factors(context), COUPLING)
     tried: list = []
     assert exchange(context, so_far[-1].after, so_far, [factors(context)], tried) is None
+
+
+def test_the_newest_is_asked_once_the_beams_prior_has_other_widths(tmp_path: Path) -> None:
+    context = context_of(mock_job(GAIN), tmp_path)
+    (found,) = rounds(context, factors(context), GAINS, None)
+    values = replace(found.after.fitted.values, prior_widths=PriorWidths(0.2))
+    wider = check(context, refit(context, values, found.after.fitted))
+    adapted = Adapted(found.after, wider, 9.0, n_rounds=1, wider=True)
+    round_then = replace(found, after=wider)
+    assert exchange(context, wider, [round_then], [GAINS], []) is None
+    exchanged = exchange(context, wider, [round_then], [GAINS], [], adapted=[adapted])
+    assert exchanged is not None
+    assert [one.kind for one in exchanged[0].after.fitted.values.active] == ["antenna_gains"]
+    before_it, functions_alone = replace(adapted, n_rounds=0), replace(adapted, before=wider)
+    for other in (before_it, functions_alone):
+        assert exchange(context, wider, [round_then], [GAINS], [], adapted=[other]) is None
 
 
 @pytest.mark.parametrize("near", [None, GAINS])
