@@ -42,16 +42,16 @@ class SourcePositions(CatalogueFlux):
         return replace(own, units=("", "arcmin", "arcmin") * len(self.sources))
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
-        """Return zero for the sources, which are elsewhere, and one for the others, (Nsrc,)."""
+        """Return zero for the sources that are elsewhere, or of another flux, and one for all others, (Nsrc,)."""
         factor = np.ones(setup.sky.Nsrc)
-        factor[find(setup.sky, self.sources)] = 0.0
+        factor[find(setup.sky, self.sources)[_is_moved(x)]] = 0.0
         return factor[sources.index]
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the sources where they are, those that are up, each (Nsrc,)."""
-        part = x.reshape(-1, 3)
-        index, za, az = block.follow(*self._where(part)).above_horizon(itime)
-        return za, az, (self._fluxes(block, itime) * (1 + part[:, 0]))[index]
+        """Return those sources where they are that are not in their places, and up, each (Nsrc,)."""
+        part, moved = x.reshape(-1, 3), _is_moved(x)
+        index, za, az = block.follow(*(one[moved] for one in self._where(part))).above_horizon(itime)
+        return za, az, (self._fluxes(block, itime) * (1 + part[:, 0]))[moved][index]
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the sources where they are, and central differences of these by offset; ``x`` is (n_params,)."""
@@ -114,3 +114,8 @@ class SourcePositions(CatalogueFlux):
         sources, flux = block.sources(itime), block.setup.sky.flux[block.channel].copy()
         flux[sources.index] = sources.flux_without(self.kind)
         return flux[find(block.setup.sky, self.sources)]
+
+
+def _is_moved(x: FloatArray) -> BoolArray:
+    """Return which sources are not as the catalogue has them, (Nsources,): others look for their fluxes there."""
+    return np.any(x.reshape(-1, 3) != 0, axis=1)

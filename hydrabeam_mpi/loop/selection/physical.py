@@ -84,7 +84,7 @@ def leave_out_unphysical(
             ]
             each += [f"and {len(which) - MOST_NAMED} more"] if len(which) > MOST_NAMED else []
             told.append(f"{one.effect.title}: left out what would have {one.effect.unphysical}: {', '.join(each)}")
-            left = _rest(context, one, gone)
+            left = rest_of(context, one, gone)
         places[place] = None if left is None else len(kept)
         kept += [] if left is None else [left]
     return LeftOut(replace(fitted.values, active=tuple(kept)), places, tuple(told)) if told else None
@@ -166,7 +166,7 @@ def _excess(context: FitContext, effect: Effect, x: FloatArray, in_use: FloatArr
     return effect.beyond(context.setup, x[np.newaxis], in_use[np.newaxis])
 
 
-def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
+def rest_of(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
     """Return an effect without some of its parameters; None where none of those left is in use."""
     effect, left = one.effect.without(gone)
     prior_var = one.prior_var(context.setup)[left]

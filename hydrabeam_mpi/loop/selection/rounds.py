@@ -18,6 +18,7 @@ from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
+from hydrabeam_mpi.loop.selection.rivalled import take_back_rivalled
 from hydrabeam_mpi.loop.selection.simpler import simplified
 from hydrabeam_mpi.loop.selection.taken_back import (
     Taken,
@@ -79,7 +80,7 @@ def run_rounds(search: Search) -> None:
         while rounds.go_on():
             pass
         with search.clock.time("trials"):
-            _take_back(context, history)
+            _take_back(context, history, rounds.effects)
         rounds.adapt()
     except BrokenOff as why:
         say(f"the search ends with what has been found so far: {why}", context.grid.is_world_root)
@@ -270,18 +271,25 @@ def _accept(context: FitContext, history: History, added: Round) -> Round:
     return added
 
 
-def _take_back(context: FitContext, history: History) -> None:
+def _take_back(context: FitContext, history: History, effects: Sequence[Effect]) -> None:
     """Take back what is faint beside the others, unphysical, not the same in all parts or explained since.
 
-    What stays gets the priors that it wants without that. This goes on until nothing changes.
+    What stays gets the priors that it wants without that. This goes on until nothing changes. Of the ``effects`` that
+    are looked for the faults of the beam's model are rivals once more, where not all is explained or something is gone.
 
     Collective: all ranks of the grid.
     """
+
+    def rivalled(context: FitContext, last: Round, n_given: int) -> Taken:
+        faults = [one for one in effects if one.is_control_model or one.is_about_the_beam]
+        is_asked = not last.after.remains.consistent or any(one.revoked for one in history.rounds)
+        return take_back_rivalled(context, last, n_given, faults if is_asked else [])
+
     given, before, unchanged_by = history.first.fitted.values, None, dict[Step, Fitted]()
     n_given, there = len(given.active), [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
-        for step in (take_back_faint, take_back_unphysical, take_back, _revised):
+        for step in (take_back_faint, take_back_unphysical, take_back, rivalled, _revised):
             fitted = history.last.fitted
             if len(fitted.values.active) > n_given and unchanged_by.get(step) is not fitted:
                 last, places, asked = step(context, history.rounds[-1], n_given)

@@ -17,6 +17,7 @@ from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.exchange import places_without
+from hydrabeam_mpi.loop.selection.physical import rest_of
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise
 from hydrabeam_mpi.loop.selection.trials import round_of, try_effects
@@ -71,11 +72,11 @@ def _instead(
 ) -> Round | None:
     """Fit what was found instead of some parameters of the effect at ``place``; return the round if it is better."""
     active = last.fitted.values.active
-    rest, own = _part(context, active[place], ~gone), _part(context, active[place], gone)
+    own, rest = _part(context, active[place], gone), _rest(context, active[place], gone)
     names = own.effect.parameters(context.setup).names
     named = f"{names[own.used[0]]}{f' and {own.size - 1} more' if own.size > 1 else ''}"
     say(f"  in the place of {named}:", context.grid.is_world_root)
-    left = (*active[:place], *([rest] if rest.size else []), *active[place + 1 :])
+    left = (*active[:place], *([rest] if rest else []), *active[place + 1 :])
     kept = replace(last.fitted.values, active=left)
     # The others stay where they are: left alone, they would make up for it.
     without = check(context, solved_at(context, kept, last.fitted))
@@ -99,6 +100,17 @@ def _begun(context: FitContext, kept: Values, last: Fitted, finding: Finding) ->
     """
     start = Active.start(finding.effect, context.setup, finding.evidence.prior_var, finding.evidence.x)
     return solved_at(context, kept.extended(start), last, keep=True) if start.adds else None
+
+
+def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
+    """Return an effect without some of its parameters; None where none of those left is in use.
+
+    A source that is told to be something else is none of its sources any more. Antennas are its own to have as before.
+    """
+    if one.effect.unphysical:
+        return rest_of(context, one, gone)
+    rest = _part(context, one, ~gone)
+    return rest if rest.size else None
 
 
 def _part(context: FitContext, one: Active, which: BoolArray) -> Active:

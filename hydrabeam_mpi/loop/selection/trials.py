@@ -179,10 +179,11 @@ def least_beside(
 ) -> dict[int, BesideRivals]:
     """Weigh effects of the model, by their places in it, each beside its rivals. Collective: all ranks of the grid."""
     least = {place: BesideRivals(np.inf, None) for place in rivals}
-    every = {rival.name: rival for of_one in rivals.values() for rival in of_one}
+    # Control models are several of one kind.
+    every = {id(rival): rival for of_one in rivals.values() for rival in of_one}
     for rival in every.values():
         assert rival.finding is not None
-        places = [place for place, of_one in rivals.items() if any(one.name == rival.name for one in of_one)]
+        places = [place for place, of_one in rivals.items() if any(one is rival for one in of_one)]
         for place, left in zip(places, reconsider_each(context, fitted, places, rival.finding), strict=True):
             if left.log_bayes_factor < least[place].log_bayes_factor:
                 reason = refusal_beside(rival, left.log_bayes_factor, context.problem.job.loop)

@@ -71,6 +71,19 @@ def test_beside_a_wrong_flux() -> None:
     np.testing.assert_allclose(columns, expected, rtol=0, atol=1e-12 * largest)
 
 
+def test_what_is_in_its_place_is_left_to_others() -> None:
+    """One that it may displace, but does not: an error of its flux is seen, as if it were none of the sources."""
+    setup = small_setup()
+    flux, x = CatalogueFlux(pinned(setup).sources), X.copy()
+    x[1] = 0.0
+    block = replace(small_block(setup), sky_effects=[(pinned(setup), x.ravel())])
+    columns = flux.columns(block, np.zeros(len(INDEX))).values
+    expected = flux.columns(small_block(setup), np.zeros(len(INDEX))).values
+    np.testing.assert_allclose(columns[..., 1], expected[..., 1], rtol=0, atol=1e-12 * np.abs(expected).max())
+    assert np.all(columns[..., [0, 2]] == 0)
+    assert np.abs(expected[..., 1]).max() > 0
+
+
 def test_no_flux_is_below_zero() -> None:
     setup = small_setup()
     x, std = np.array([[-1.5, 3.0, 4.0, 0.1, -7.0, 8.0, -1.0, 0.0, 0.0]]), np.full((1, 9), 0.1)

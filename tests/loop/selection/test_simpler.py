@@ -83,7 +83,9 @@ def test_a_source_where_the_catalogue_has_one_is_its_flux(plain: FitContext, tmp
     assert "taken back, as fluxes of catalogue sources explain as much with less" in added.revised[0]
     source, flux = added.after.fitted.values.active
     assert isinstance(source.effect, MissingSources)
-    assert source.used.tolist() == [3, 4, 5]
+    # It has not the other any more, which would be found again.
+    assert source.used.tolist() == [0, 1, 2]
+    assert source.effect.sources == (place_of_missing(plain),)
     assert isinstance(flux.effect, CatalogueFlux)
     assert flux.effect.sources == (brightest(plain),)
     error, std = flux.x[0, 0], added.after.fitted.fit.std[1][0, 0]
