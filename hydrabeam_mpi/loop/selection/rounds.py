@@ -279,14 +279,17 @@ def _take_back(context: FitContext, history: History, effects: Sequence[Effect])
 
     Collective: all ranks of the grid.
     """
+    given, before, unchanged_by = history.first.fitted.values, None, dict[Step, Fitted]()
+    n_given, there = len(given.active), [one.place is not None for one in history.rounds]
+
+    def given_up() -> list[bool]:
+        return [one.given_up or (was and one.revoked) for was, one in zip(there, history.rounds, strict=True)]
 
     def rivalled(context: FitContext, last: Round, n_given: int) -> Taken:
         faults = [one for one in effects if one.is_control_model or one.is_about_the_beam]
-        is_asked = not last.after.remains.consistent or any(one.revoked for one in history.rounds)
+        is_asked = any(given_up()) or not last.after.remains.consistent
         return take_back_rivalled(context, last, n_given, faults if is_asked else [])
 
-    given, before, unchanged_by = history.first.fitted.values, None, dict[Step, Fitted]()
-    n_given, there = len(given.active), [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
         for step in (take_back_faint, take_back_unphysical, take_back, rivalled, _revised):
@@ -305,10 +308,7 @@ def _take_back(context: FitContext, history: History, effects: Sequence[Effect])
                 for one in (*history.rounds[:-1], last)
             ]
             history.last = last.after
-    history.rounds = [
-        replace(one, given_up=one.given_up or (was and one.revoked))
-        for was, one in zip(there, history.rounds, strict=True)
-    ]
+    history.rounds = [replace(one, given_up=gone) for gone, one in zip(given_up(), history.rounds, strict=True)]
 
 
 def _revised(context: FitContext, last: Round, n_given: int) -> Taken:

@@ -62,7 +62,9 @@ def test_gains_that_stand_for_a_beam_that_changes_are_taken_back(
     assert places == {0: None}
     assert asked == {}
     assert without.after.fitted.values.active == ()
-    assert without.revised[0].startswith("antenna gains that drift: taken back, as a beam that changes in time explains")
+    assert without.revised[0].startswith(
+        "antenna gains that drift: taken back, as a beam that changes in time explains"
+    )
     assert without.revised[0] in capsys.readouterr().err
     # What the job itself has is not asked, nor is anything where no rivals are looked for.
     for n_given, faults in ((1, FAULTS), (0, [])):
