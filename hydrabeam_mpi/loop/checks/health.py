@@ -14,6 +14,7 @@ import numpy as np
 from hydrabeam_mpi.loop.checks.bad_antennas import absurd_antennas, absurd_autocorrelations
 from hydrabeam_mpi.loop.checks.bad_ends import by_antenna
 from hydrabeam_mpi.loop.checks.bad_rows import bad_baselines, bad_times
+from hydrabeam_mpi.loop.checks.conjugated import conjugated_baselines
 from hydrabeam_mpi.loop.checks.exchanged import exchanged_antennas
 from hydrabeam_mpi.loop.checks.filtered import filtered
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Kept, Sample, Sums, read_sample
@@ -68,7 +69,8 @@ def _look(
     partners = Excess.of_partners(grid, problem, sample, weights)
     noise = noise_beside_partners(grid, problem, sample, weights)
     rows = (
-        bad_times(problem, sample.times, sums, excess)
+        conjugated_baselines(grid, problem, sample, weights, sums)
+        or bad_times(problem, sample.times, sums, excess)
         or bad_times(problem, sample.times, sums, partners)
         or bad_baselines(problem, sums, excess)
         or noisy_baselines(problem, noise)

@@ -398,6 +398,32 @@ def test_antennas_that_are_exchanged_for_a_while(first: int, tmp_path: Path) -> 
     assert "exchange their numbers in the files of these times" in one.remedy
 
 
+def conjugated(uv: UVData, *pairs: tuple[int, int]) -> None:
+    """Conjugate some baselines, all of them without any pairs."""
+    for rows in [uv.antpair2ind(*pair) for pair in pairs] or [crosses(uv)]:
+        uv.data_array[rows] = uv.data_array[rows].conj()
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.5])
+def test_conjugated_baselines(phase: float, tmp_path: Path) -> None:
+    """Also one of an antenna whose phase is far off."""
+    gain = {"kind": "antenna_gains", "parameters": {"antenna 4 phase": phase}}
+    job = made(tmp_path, *([gain] if phase else []), close=False)
+    one, two = found(job, tmp_path, files=damaged(tmp_path, lambda uv: conjugated(uv, (0, 3), (2, 4))))
+    assert {one.what, two.what} == {"a conjugated baseline"}
+    assert (one.where, one.baselines, two.where, two.baselines) == (
+        "baseline 0-3",
+        ((0, 3),),
+        "baseline 2-4",
+        ((2, 4),),
+    )
+    assert "or exclude_baselines = [[0, 3]] in [data]" in one.remedy
+
+
+def test_no_baseline_of_conjugated_data_is_wrong_by_itself(tmp_path: Path) -> None:
+    assert found(made(tmp_path), tmp_path, files=damaged(tmp_path, conjugated)) == []
+
+
 def test_an_antenna_is_named_instead_of_most_of_its_baselines(job: dict[str, Any], folder: Path) -> None:
     problem = prepare(load_job(write_job(job, folder)), (folder / "data.uvh5",))
     pairs = [(0, 1), (1, 2), (1, 3), (1, 4), (2, 4)]
