@@ -135,7 +135,8 @@ def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Cloc
     problem = grown_problem(problem, context.setup, fitted.values, context.learned)
     written = with_whole_beams(context, fitted)
     found, gains = effects_found(setup.job, written, context.setup), (context.setup, written.values)
-    told = prior_told(context.problem.job, context.carried, fitted.values)
+    asked = setup.job.prior.widths == "evidence"
+    told = prior_told(context.problem.job, context.carried, fitted.values, asked)
     return _Fit(problem, results, numbers, found, gains, told)
 
 

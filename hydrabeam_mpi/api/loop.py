@@ -26,6 +26,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.joint import channel_results, read_context, restore
+from hydrabeam_mpi.fit.prior_widths import is_adaptable
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions, with_findings
@@ -163,7 +164,9 @@ def _found(
         if world.rank == 0:
             gains = gains_told(problem, records, known, written.values)
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **gains}
-            run |= prior_told(context.problem.job, context.carried, fitted.values) | over_frequency_told(results)
+            job = context.problem.job
+            asked = job.prior.widths != "stated" and is_adaptable(context)
+            run |= prior_told(job, context.carried, fitted.values, asked) | over_frequency_told(results)
             effects = effects_found(problem.job, written, known)
             result = make_result(setup, problem, records, integrations, origin(), run, record["warnings"], effects)
             told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}

@@ -77,12 +77,12 @@ def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
     return about if problem.earlier is None else {**about, "sha256_before": problem.earlier.made_from}
 
 
-def prior_told(job: Job, carried: CarriedOver | None, values: Values) -> dict[str, Any]:
+def prior_told(job: Job, carried: CarriedOver | None, values: Values, asked: bool) -> dict[str, Any]:
     """Return what a summary says of effects of the result that is the prior, and of widths that were adapted.
 
-    The ``job`` says whether beams may differ from their models as a whole.
+    The ``job`` says whether beams may differ from their models as a whole, ``asked`` whether the data were for widths.
     """
-    told: dict[str, Any] = {}
+    told: dict[str, Any] = {"widths_asked": asked}
     if carried:
         told["prior"] = {"result": str(job.prior.file), **carried.summary}
     if values.prior_widths is not None:

@@ -63,9 +63,14 @@ def radiometer_weights(
     InputError
         If an unflagged visibility lacks an autocorrelation, or an integration time or channel width is zero.
     """
-    for field in ("integration_time", "channel_width"):
+    other = "choose another [noise] kind"
+    # Files of a single channel may not say how wide it is.
+    for field, remedy in (
+        ("integration_time", other),
+        ("channel_width", f"state it as channel_width in [data], or {other}"),
+    ):
         if not np.all(getattr(observation, field) > 0):
-            raise InputError("not positive", file=files[0], field=field, remedy="choose another [noise] kind")
+            raise InputError("not positive", file=files[0], field=field, remedy=remedy)
     autos = autos or read_autos(files, observation, tile.times)
     power = calibrated_autos(autos, observation, tile.times, gain_files).power
     feeds = feeds_of(observation.pols)

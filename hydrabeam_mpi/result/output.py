@@ -161,7 +161,7 @@ def summarise(
         **run,
     }
     channels = [record.summary for record in content.channels]
-    of_result = warnings_of(channels, by_evidence="prior_adapted" in run)
+    of_result = warnings_of(channels, by_evidence=run.get("widths_asked", False))
     flagged = cautions_of_flags(channels, holds_out=job.holdout.kind != "none")
     warn(flagged)
     return {

@@ -38,7 +38,7 @@ def _say_channel(channel: Mapping[str, Any]) -> str:
 def warnings_of(channels: list[dict[str, Any]], by_evidence: bool = False) -> list[str]:
     """Say in plain words what a user should not overlook in the channels' summaries.
 
-    With ``by_evidence`` the prior has the widths that the data chose.
+    With ``by_evidence`` the data were asked for the widths of the prior, which are what these wanted.
     """
     said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2_predictive" in channel], by_evidence)
     negative = max(channel.get("negative_beyond_errors", 0.0) for channel in channels)
@@ -51,11 +51,12 @@ def warnings_of(channels: list[dict[str, Any]], by_evidence: bool = False) -> li
     far = max(channels, key=lambda channel: channel.get("prior_departure", 1.0))
     if far.get("prior_departure", 1.0) > FAR:
         departure, gain = far["prior_departure"], far["prior_departure_log_evidence"]
+        remedy = "`fraction` in [prior] as many times as large" + ("" if by_evidence else ", or widths = 'evidence'")
+        loop = "" if by_evidence else ", for which 'hydrabeam loop' looks"
         said.append(
             f"The inferred beam is up to {departure:.2g} times as far from the model as its prior expects. "
-            f"Widths as much larger have more evidence, by about {gain:.3g} in ln "
-            "(`fraction` in [prior] as many times as large, or widths = 'evidence'); or the beam takes up an effect "
-            "that the model lacks, for which 'hydrabeam loop' looks."
+            f"Widths as much larger have more evidence, by about {gain:.3g} in ln ({remedy}); or the beam takes up an "
+            f"effect that the model lacks{loop}."
         )
     return said
 
@@ -94,6 +95,7 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
         why = "its prior leaves more open than these data tell. With [prior] widths = 'evidence' they choose how much."
         if by_evidence:
             why = "these data tell next to nothing of how the beam departs from its model."
+            why = "it takes up errors that are not its own." if chi2 > LARGEST_PREDICTIVE else why
         said.append(
             f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
             f"inferred beam does: {why}"

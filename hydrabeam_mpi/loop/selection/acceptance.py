@@ -141,6 +141,8 @@ class Round:
         model nevertheless, see `selection.for_prediction`.
     taken_back : (Active, ndarray), optional
         The effect as it was when it was taken back at the end, and its standard deviations, (Nfreqs, n_params).
+    may_predict : bool
+        Whether it was taken back though the data want it, as it is not what its name says.
     constancy : tuple of Constancy
         Whether the effect is the same in all parts of the data, asked at the end; empty for a change of the weights.
     together : tuple of Candidate
@@ -159,6 +161,7 @@ class Round:
     revised: tuple[str, ...] = ()
     given_up: bool = False
     taken_back: tuple[Active, FloatArray] | None = None
+    may_predict: bool = False
     constancy: tuple[Constancy, ...] = ()
     together: tuple[Candidate, ...] = ()
     elsewhere: tuple[Elsewhere, ...] = ()

@@ -296,7 +296,9 @@ def _take_back(context: FitContext, history: History, effects: Sequence[Effect])
             fitted = history.last.fitted
             if len(fitted.values.active) > n_given and unchanged_by.get(step) is not fitted:
                 last, places, asked = step(context, history.rounds[-1], n_given)
-                told = [_asked(one, fitted, places, asked) for one in (*history.rounds[:-1], last)]
+                # What these refuse explains the data, but is not what its name says.
+                may_predict = step in (take_back, rivalled)
+                told = [_asked(one, fitted, places, asked, may_predict) for one in (*history.rounds[:-1], last)]
                 history.rounds = told[:-1]
                 history.add(told[-1], places)
                 if history.last.fitted is fitted:
@@ -321,13 +323,22 @@ def _revised(context: FitContext, last: Round, n_given: int) -> Taken:
 
 
 def _asked(
-    one: Round, before: Fitted, places: Mapping[int, int | None], asked: Mapping[int, tuple[Constancy, ...]]
+    one: Round,
+    before: Fitted,
+    places: Mapping[int, int | None],
+    asked: Mapping[int, tuple[Constancy, ...]],
+    may_predict: bool = False,
 ) -> Round:
-    """Return a round with what is known of its effect since all were asked, as they were ``before``."""
+    """Return a round with what is known of its effect since all were asked, as they were ``before``.
+
+    Of one that was taken back it is told whether it ``may_predict``.
+    """
     if one.place is None:
         return one
-    taken_back = None if places[one.place] is not None else (before.values.active[one.place], before.fit.std[one.place])
-    return replace(one, taken_back=taken_back, constancy=asked.get(one.place, one.constancy))
+    stays = places[one.place] is not None
+    taken_back = None if stays else (before.values.active[one.place], before.fit.std[one.place])
+    constancy = asked.get(one.place, one.constancy)
+    return replace(one, taken_back=taken_back, may_predict=may_predict and not stays, constancy=constancy)
 
 
 def _heldout(checked: Checked) -> str:
