@@ -175,7 +175,7 @@ class Round:
     def evidence_of_rest(self) -> float:
         """What the others of the set add to its log Bayes factor, where it is the first; its ranking has none of them.
 
-        As expected when the set was chosen, each beside the others.
+        As they were fitted, each with those before it, or as expected of what was not.
         """
         if not self.together or self.together[0].name != self.candidate.name:
             return 0.0

@@ -258,7 +258,7 @@ def _one_by_one(
     weighed: Weighed,
     of_set: Together,
 ) -> tuple[tuple[Round, ...], _Refused | None]:
-    """Add the effects of a joint fit one after the other; return the rounds before the first that is refused, and it.
+    """Add the effects of a joint fit one after the other; return the rounds, or none and the first that is refused.
 
     Collective: all ranks of the grid.
     """
@@ -278,11 +278,19 @@ def _one_by_one(
         reason = refusal_of_fit(context, before, after, candidate, whole.fitted)
         if reason is not None:
             too_early = not is_last and candidate.log_bayes_factor < 0
-            return tuple(rounds), _Refused(len(rounds), candidate, reason, too_early)
+            return (), _Refused(len(rounds), candidate, reason, too_early)
         ranking = weighed.ranking if place == n_before else of_set.in_place_of(member)
-        rounds.append(replace(round_of(context, before, after, candidate, ranking), together=of_set.members))
+        rounds.append(round_of(context, before, after, candidate, ranking))
         before = after
-    return tuple(rounds), None
+    return _told_together(rounds, of_set), None
+
+
+def _told_together(rounds: Sequence[Round], of_set: Together) -> tuple[Round, ...]:
+    """Return rounds with all effects of their set, those that were fitted with the evidence that they have come to."""
+    as_fitted = [one.candidate for one in rounds]
+    names = {one.name for one in as_fitted}
+    together = (*as_fitted, *(one for one in of_set.members if one.name not in names))
+    return tuple(replace(one, together=together) for one in rounds)
 
 
 def _as_fitted(
