@@ -77,9 +77,18 @@ def _common_name(name: str) -> tuple[str, str]:
 
 
 def _say_over(head: str, each: str, ones: Sequence[dict[str, Any]]) -> str:
-    """Write the name that values at several times, or in several directions, have in common, and their rms."""
-    rms = math.hypot(*(one["value"] for one in ones)) / math.sqrt(len(ones))
-    return f"{head} {rms:.3g}{_unit(ones[0])} rms over {len(ones)} {each}{_channel(ones[0])}"
+    """Write the name that values at several times, or in several directions, have in common, and their rms.
+
+    One that has more of it than all others together, two or more, is named.
+    """
+    *others, largest = sorted(ones, key=lambda one: abs(one["value"]))
+    of_others = math.hypot(*(one["value"] for one in others))
+    rms = math.hypot(of_others, largest["value"]) / math.sqrt(len(ones))
+    said = f"{head} {rms:.3g}{_unit(ones[0])} rms over {len(ones)} {each}{_channel(ones[0])}"
+    if len(others) < 2 or abs(largest["value"]) <= of_others:
+        return said
+    where = largest["name"].removeprefix(head).strip()
+    return f"{said}, most of it {where} ({largest['value']:.4g} +- {largest['std']:.2g})"
 
 
 def say_adapted(told: dict[str, Any]) -> str:

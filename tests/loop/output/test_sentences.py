@@ -88,6 +88,10 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
         "antenna 2 phase, jump at JD 2.5 3 +- 1; antenna 3 phase at JD 1.5 2 +- 1; "
         "and 2 that these data do not tell (",
     ),
+    "and one of these that has most of it": (
+        {"parameters": [parameter(f"antenna 2 phase at JD {jd}", v) for jd, v in ((1.5, 3), (2.5, -8), (3.5, 5))]},
+        "Antenna gains: antenna 2 phase 5.72 rms over 3 times, most of it at JD 2.5 (-8 +- 1) (",
+    ),
     "what has a value in each of several directions": (
         {"parameters": [parameter(f"flux towards ra={ra:.3f} dec=-30.000", ra - 11) for ra in (8.0, 15.0)]},
         "Antenna gains: flux 3.54 rms over 2 directions (",
