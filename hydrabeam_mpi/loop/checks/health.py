@@ -20,6 +20,7 @@ from hydrabeam_mpi.loop.checks.filtered import filtered
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Kept, Sample, Sums, read_sample
 from hydrabeam_mpi.loop.checks.partners import noise_beside_partners, noisy_baselines
 from hydrabeam_mpi.loop.checks.scale import flux_scale, noise_level, noise_ratio
+from hydrabeam_mpi.loop.checks.scaled_times import scaled_times
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.findings import Finding, mended_job
 from hydrabeam_mpi.setup.problem import Problem, estimate_noise, select_anew
@@ -72,6 +73,7 @@ def _look(
         conjugated_baselines(grid, problem, sample, weights, sums)
         or bad_times(problem, sample.times, sums, excess)
         or bad_times(problem, sample.times, sums, partners)
+        or scaled_times(problem, sample.times, sums, excess)
         or bad_baselines(problem, sums, excess)
         or noisy_baselines(problem, noise)
     )

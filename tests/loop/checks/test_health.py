@@ -266,6 +266,26 @@ def test_bad_integrations(job: dict[str, Any], folder: Path, how: str) -> None:
     assert found(job, folder, files=["damaged.uvh5"], exclude_times=spans) == []
 
 
+def test_an_integration_that_was_counted_twice(tmp_path: Path) -> None:
+    """Of times that lie far apart, so that no difference tells; redundant baselines are as much alike as before."""
+    job = made(tmp_path, close=False)
+
+    def twice(uv: UVData) -> None:
+        uv.data_array[crosses(uv) & at_times(uv, 7)] *= 2
+
+    (one,) = found(job, tmp_path, files=damaged(tmp_path, twice))
+    assert one.what == "an integration on another scale"
+    assert "2 times as large as the others'" in one.why
+    with quiet():
+        jd = np.unique(UVData.from_file(tmp_path / "data.uvh5", read_data=False).time_array)
+    ((first, last),) = one.times
+    assert [first <= time <= last for time in jd] == [k == 7 for k in range(N_TIMES)]
+
+
+def test_a_flux_that_is_wrong_is_no_fault_of_the_times_at_which_it_is_seen(tmp_path: Path) -> None:
+    assert found(made(tmp_path, {"kind": "catalogue_flux", "strength": 8.0}, close=False), tmp_path) == []
+
+
 def test_bad_integrations_minutes_apart_are_off_among_redundant_baselines(tmp_path: Path) -> None:
     """The model lacks what is as strong as the sky, and tells nothing of them."""
     job = made(tmp_path, {"kind": "missing_sources", "strength": 200.0}, close=False)
