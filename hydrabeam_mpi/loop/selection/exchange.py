@@ -37,7 +37,7 @@ def exchange(
     or other widths of that prior, is left out, and those that had come near are weighed and fitted beside all the
     others, as in any round. The best of them is taken if it has more evidence, with the held-out data's density, than
     the effect that it replaces, and their rms does not rise. An effect is asked once less is left of the fitted data
-    than was explained since: before that it may still have taken up what is missing.
+    than was explained since, or after other widths nothing: before that it may still have taken up what is missing.
 
     Collective: all ranks of the grid.
 
@@ -65,7 +65,8 @@ def exchange(
         if found.place is None:
             continue
         is_asked = not all(one.revoked for one in rounds[number + 1 :]) and _is_mostly_explained(context, found, last)
-        is_asked = is_asked or any(one.is_of_widths and one.n_rounds > number for one in adapted)
+        if last.remains.consistent:
+            is_asked = is_asked or any(one.is_of_widths and one.n_rounds > number for one in adapted)
         near = _near(found, last, effects) if is_asked else []
         better = _better_than(context, last, found, near, tried, only_more) if near else None
         if better is not None:

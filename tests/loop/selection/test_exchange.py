@@ -177,14 +177,17 @@ def test_the_newest_is_asked_once_the_beams_prior_has_other_widths(tmp_path: Pat
     values = replace(found.after.fitted.values, prior_widths=PriorWidths(0.2))
     wider = check(context, refit(context, values, found.after.fitted))
     adapted = Adapted(found.after, wider, 9.0, n_rounds=1, wider=True)
-    round_then = replace(found, after=wider)
-    assert exchange(context, wider, [round_then], [GAINS], []) is None
-    exchanged = exchange(context, wider, [round_then], [GAINS], [], adapted=[adapted])
+    # By the factors of single baselines more than noise is left of the others; it is asked as if nothing were.
+    nothing_left = replace(wider, remains=replace(wider.remains, consistent=True))
+    then = [replace(found, after=nothing_left)]
+    assert exchange(context, nothing_left, then, [GAINS], []) is None
+    assert exchange(context, wider, then, [GAINS], [], adapted=[adapted]) is None
+    exchanged = exchange(context, nothing_left, then, [GAINS], [], adapted=[adapted])
     assert exchanged is not None
     assert [one.kind for one in exchanged[0].after.fitted.values.active] == ["antenna_gains"]
     before_it, functions_alone = replace(adapted, n_rounds=0), replace(adapted, before=wider)
     for other in (before_it, functions_alone):
-        assert exchange(context, wider, [round_then], [GAINS], [], adapted=[other]) is None
+        assert exchange(context, nothing_left, then, [GAINS], [], adapted=[other]) is None
 
 
 @pytest.mark.parametrize("near", [None, GAINS])
