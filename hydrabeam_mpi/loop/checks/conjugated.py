@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.loop.checks.conventions import LEFT, MIN_FALL
+from hydrabeam_mpi.inference.robust import known_median
+from hydrabeam_mpi.loop.checks.conventions import AMPLITUDE_TOLERANCE, LEFT, MIN_FALL
 from hydrabeam_mpi.loop.checks.health_sums import Sample, Sums
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum
 from hydrabeam_mpi.setup.findings import Finding, baseline_words
@@ -18,8 +19,9 @@ def conjugated_baselines(
     """Find baselines of which the model beam explains most once they are conjugated, and little as they are.
 
     Either way it has a complex factor of its own in each channel, as any gains would give it, so that what tells is how
-    phases go on in time. Where most baselines are so that is a convention of the data, and none of them is wrong by
-    itself.
+    phases go on in time. The other way round that is as large as those of most baselines: what else is on one, such as
+    a transmitter, may have phases that go on in any way, but no such size. Where most baselines are so that is a
+    convention of the data, and none of them is wrong by itself.
     Collective: all ranks of the grid.
 
     Parameters
@@ -41,7 +43,10 @@ def conjugated_baselines(
     power, n = data.real.sum(axis=0), sums.bl_counts.sum(axis=0)
     explained = np.array([_ratio(np.abs(one) ** 2, model.real).sum(axis=0) for one in (overlap, mirrored)])
     as_stated, conjugated = np.maximum(power - n - explained, 0.0)
+    each, other = (_ratio(np.abs(one).sum(axis=0), model.real.sum(axis=0)) for one in (overlap, mirrored))
+    amplitude = other / known_median(np.where(n > 0, each, np.nan))
     found = (conjugated < LEFT * as_stated) & (explained[1] - explained[0] > MIN_FALL)
+    found &= np.abs(amplitude - 1) < AMPLITUDE_TOLERANCE
     if 2 * np.count_nonzero(found) > np.count_nonzero(n):
         return []
     left = _ratio(np.array([as_stated, conjugated]), power - n)

@@ -40,9 +40,8 @@ def scaled_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) 
     left = np.sum(data.real - np.abs(own) ** 2 * power - sums.time_counts, axis=0)
     falls = np.sum(np.abs(own - scale) ** 2 * power, axis=0)
     of_all = np.sum(np.abs(scale) ** 2 * power, axis=0)
-    factor = np.sqrt(
-        np.divide(np.sum(np.abs(own) ** 2 * power, axis=0), of_all, out=np.ones_like(left), where=of_all > 0)
-    )
+    of_own = np.sum(np.abs(own) ** 2 * power, axis=0)
+    factor = np.sqrt(np.divide(of_own, of_all, out=np.ones_like(left), where=of_all > 0))
     off = (falls > MIN_FALL) & (left < LEFT * (left + falls)) & (np.abs(factor - 1) > AMPLITUDE_TOLERANCE)
     alone = np.flatnonzero(off & ~np.append(off[1:], False) & ~np.append(False, off[:-1]))
     total, n = excess.times
@@ -56,5 +55,5 @@ def scaled_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) 
 def _of_time(problem: Problem, time: int, factor: float) -> Finding:
     observation, one = problem.observation, slice(time, time + 1)
     name, remedy, span = integration_words(observation.times[one], observation.integration_time[one])
-    why = f"beside the model beam's its visibilities are {factor:.3g} times as large as the others'"
+    why = f"the model beam explains it when it is {factor:.3g} times as large as at other times"
     return Finding("an integration on another scale", name, why, remedy, times=(span,))
