@@ -92,10 +92,13 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
     lost = [channel for channel in lost if channel not in small]
     if lost:
         freqs = megahertz_of(channel["freq_hz"] for channel in lost)
-        why = "its prior leaves more open than these data tell. With [prior] widths = 'evidence' they choose how much."
-        if by_evidence:
+        if not by_evidence:
+            why = "its prior leaves more open than these data tell. "
+            why += "With [prior] widths = 'evidence' they choose how much."
+        elif chi2 > LARGEST_PREDICTIVE:
+            why = "it takes up errors that are not its own."
+        else:
             why = "these data tell next to nothing of how the beam departs from its model."
-            why = "it takes up errors that are not its own." if chi2 > LARGEST_PREDICTIVE else why
         said.append(
             f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
             f"inferred beam does: {why}"

@@ -65,8 +65,8 @@ def exchange(
         if found.place is None:
             continue
         is_asked = not all(one.revoked for one in rounds[number + 1 :]) and _is_mostly_explained(context, found, last)
-        if last.remains.consistent:
-            is_asked = is_asked or any(one.is_of_widths and one.n_rounds > number for one in adapted)
+        has_other_widths = any(one.is_of_widths and one.n_rounds > number for one in adapted)
+        is_asked = is_asked or (has_other_widths and last.remains.consistent)
         near = _near(found, last, effects) if is_asked else []
         better = _better_than(context, last, found, near, tried, only_more) if near else None
         if better is not None:
