@@ -44,6 +44,7 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.antenna_positions",
     "instrument.timestamp",
     "instrument.orientation",
+    "instrument.array_scale",
     "instrument.smearing",
     "instrument.antenna_pointing",
     "instrument.nonredundant_beams",

@@ -45,6 +45,7 @@ MAPS = (2e-3, 2e-3)  # in which the beam is interpolated
 CASES = {
     "antenna_pointing": Case(strengths=(5.0, 100.0), exact="where antennas are alike", step=1e-2),
     "antenna_positions": Case(strengths=(1.0,), step=1e-4),
+    "array_scale": Case(strengths=(1.0, 30.0), step=1e-2),  # up to three per cent
     "basis_truncation": Case({"n_before": 7}, step=1e-2),
     "cable_reflections": Case(freqs=tuple(140e6 + 1e6 * np.arange(6.0)), channel=1, strengths=(30.0,), noise=None),
     "catalogue_flux": Case(scan=MAPS),
@@ -101,6 +102,7 @@ VARIANTS = {f"ionosphere, {away}": Case({"away": away}, strengths=(3.0,), step=1
 VARIANTS |= {
     f"orientation, {fixed}": replace(CASES["orientation"], settings={"fixed": fixed}) for fixed in ("stars", "array")
 }
+VARIANTS |= {"array_scale, frequencies": replace(CASES["array_scale"], settings={"wrong": "frequencies"})}
 VARIANTS |= {"polarised_sources, one channel": Case(freqs=(131e6,), strengths=(1.0, 5.0), scan=MAPS)}
 """Effects in other forms."""
 CASES |= IN_TIME | VARIANTS

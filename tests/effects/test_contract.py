@@ -270,6 +270,7 @@ REFUSED = {
     ("smearing", "unlike feeds"): "'en'",
     ("timestamp", "unlike feeds"): "'en'",
     ("orientation", "unlike feeds"): "'en'",
+    ("array_scale", "unlike feeds"): "'en'",
     ("ionosphere", "unlike feeds"): "'en'",
 }
 

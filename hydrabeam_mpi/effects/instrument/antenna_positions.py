@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.instrument.array_scale import PERCENT, ArrayScale
 from hydrabeam_mpi.effects.instrument.orientation import Orientation
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -15,9 +16,9 @@ from hydrabeam_mpi.effects.shared.displaced import ARCMIN, need_real_beam
 from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_parameters
 
 LEAST_OF_ARRAY = 4
-"""Antennas that may be said to be turned together: three can be anywhere by a turn, a shift and little else."""
-MOST_BESIDE_TURN = 3
-"""Antennas of an array that is turned that may stand elsewhere besides: each number of them is a fit."""
+"""Antennas that may be said to be elsewhere together: three can be anywhere by a turn, a shift and little else."""
+MOST_BESIDE_WHOLE = 3
+"""Antennas that may stand elsewhere besides, where the others are elsewhere together: each number of them is a fit."""
 ROUNDS_OF_WEIGHTS = 20
 """Of the least sum of distances, which is found by weights of one over these: it is told to a thousandth by then."""
 
@@ -83,15 +84,18 @@ class AntennaPositions(Effect):
     def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray
     ) -> list[tuple[BoolArray, Effect, FloatArray]]:
-        """Return all antennas as those of an array that is turned, and all but those that fit least into it."""
+        """Return all antennas as those of an array that is turned, or of another size, whichever comes nearer.
+
+        After that all but those that fit least into it.
+        """
         places, shifts = setup.observation.antpos[setup.antennas_in_use], x[0].reshape(-1, 3)
-        turn, away = _turn_of(places, shifts)
-        furthest = np.argsort(-away)[: min(MOST_BESIDE_TURN, len(away) - LEAST_OF_ARRAY)]
+        _, away = _nearest_whole(setup, places, shifts)
+        furthest = np.argsort(-away)[: min(MOST_BESIDE_WHOLE, len(away) - LEAST_OF_ARRAY)]
         found: list[tuple[BoolArray, Effect, FloatArray]] = []
         for n_beside in range(len(furthest) + 1 if len(away) >= LEAST_OF_ARRAY else 0):
             together = ~np.isin(np.arange(len(away)), furthest[:n_beside])
-            turn, _ = _turn_of(places[together], shifts[together])
-            found.append((np.repeat(together, 3), Orientation("array").in_full(setup), turn / ARCMIN))
+            whole, _ = _nearest_whole(setup, places[together], shifts[together])
+            found.append((np.repeat(together, 3), *whole))
         return found
 
     def _moved(self, block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -102,22 +106,37 @@ class AntennaPositions(Effect):
         return moved, block.vectors[block.member[moved]] + change[moved], block.antpos + shifts
 
 
-def _turn_of(places: FloatArray, shifts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return by which turn of the sky (radians) antennas are displaced alike, (3,), and how far each is from that.
+def _nearest_whole(
+    setup: ObservingSetup, places: FloatArray, shifts: FloatArray
+) -> tuple[tuple[Effect, FloatArray], FloatArray]:
+    """Return an array that is turned, or of another size, with its numbers, and how far each antenna is from that.
 
-    The turn is that with the least sum of distances, metres, (Nants,), so that a few that are elsewhere do not count
-    more than others do; a shift of all is free. ``places`` and ``shifts`` are (Nants, 3).
+    Of the two that with the least sum of these distances, metres, (Nants,). ``places`` and ``shifts`` are (Nants, 3).
     """
-    east, north, up = (places - places.mean(axis=0)).T
-    zero, one = np.zeros_like(east), np.ones_like(east)
-    # An array seen by a sky that is turned by w has moved by -w x r.
-    turned = np.array([[zero, -up, north], [up, zero, -east], [-north, east, zero]])
+    vectors = (places - places.mean(axis=0)).T
+    # An array seen by a sky that is turned by w has moved by r x w.
+    turned = np.array([np.cross(vectors, axis, axisa=0).T for axis in np.eye(3)])
+    turn, from_turn = _nearest(turned, shifts)
+    size, from_size = _nearest(vectors[np.newaxis], shifts)
+    if from_size.sum() < from_turn.sum():
+        return (ArrayScale(), size / PERCENT), from_size
+    return (Orientation("array").in_full(setup), turn / ARCMIN), from_turn
+
+
+def _nearest(moved: FloatArray, shifts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the numbers, (n,), with which antennas come nearest to where they are, and how far each is from there.
+
+    The sum of distances is the least, so that a few that are elsewhere do not count more than others do; a shift of all
+    is free. By each number antennas have ``moved``, (n, 3, Nants); ``shifts`` are (Nants, 3), distances (Nants,).
+    """
+    n, one = len(moved), np.ones(len(shifts))
     shifted = np.eye(3)[:, :, np.newaxis] * one
-    design = np.concatenate([turned, shifted], axis=1).transpose(2, 0, 1)
+    design = np.concatenate([moved, shifted]).transpose(2, 1, 0)
     weights = one
     for _ in range(ROUNDS_OF_WEIGHTS):
         root = np.sqrt(weights)[:, np.newaxis]
-        found = np.linalg.lstsq((root[..., np.newaxis] * design).reshape(-1, 6), (root * shifts).ravel(), rcond=None)[0]
+        weighted = (root[..., np.newaxis] * design).reshape(-1, n + 3)
+        found = np.linalg.lstsq(weighted, (root * shifts).ravel(), rcond=None)[0]
         away = np.linalg.norm(shifts - design @ found, axis=1)
         weights = 1 / np.maximum(away, 1e-3 * max(float(away.max()), 1e-12))
-    return found[:3], away
+    return found[:n], away

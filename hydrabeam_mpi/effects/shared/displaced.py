@@ -30,6 +30,8 @@ ARCMIN = np.pi / 180 / 60
 POINTS_AT_ONCE = 4096
 """Directions whose coordinates, beam and slopes, about 150 bytes of each, stay in the cache together. Four times as
 many took 1.2 times as long where each antenna sees 5,000 sources; what is worked out is the same."""
+TURNED_SKY = "turned sky"
+"""The name of the integrals of `turning_columns`."""
 TILTS: FloatArray = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
 """Rotation vectors that take the zenith towards East and towards North, (3, 2)."""
 
@@ -191,6 +193,15 @@ def fringe_rates(block: RowBlock, moments: ComplexArray) -> ComplexArray:
     return np.asarray(2j * np.pi * block.freq / C_M_PER_S * np.cross(moments, block.vectors))
 
 
+def stretch_rate(block: RowBlock, moments: ComplexArray) -> ComplexArray:
+    """Return how visibilities change as all baselines get longer by the same factor, Jy per unit of it.
+
+    The integrals of the beam times the unit vector are (Ntimes, Ngroups, 3), what is returned (Ntimes, Ngroups).
+    """
+    # The phase k b.s changes by itself.
+    return np.asarray(2j * np.pi * block.freq / C_M_PER_S * np.sum(moments * block.vectors, axis=-1))
+
+
 def need_real_beam(setup: ObservingSetup) -> str | None:
     """Say why an effect that needs a real power beam cannot be used; None where it can."""
     if setup.observation.is_copolar:
@@ -223,7 +234,7 @@ class TurningSky(Effect):
     @property
     def integrated_as(self) -> str:
         """The name of what all that turns the sky needs."""
-        return "turned sky"
+        return TURNED_SKY
 
     def rates(self, block: RowBlock) -> ComplexArray:
         """Return how visibilities change as the sky turns further about east, north and up, Jy per radian.

@@ -11,6 +11,7 @@ import pytest
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
+from hydrabeam_mpi.effects.instrument.array_scale import ArrayScale
 from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
 from hydrabeam_mpi.effects.instrument.gain_jitter import GainJitter
 from hydrabeam_mpi.effects.instrument.orientation import Orientation
@@ -358,6 +359,22 @@ def test_an_array_that_is_turned_in_the_place_of_the_positions_of_all_antennas(
         used = others[0].used
         assert set(used) <= {6, 7, 8}
         assert others[0].x[0, 8] == pytest.approx(elsewhere, abs=0.05)
+
+
+def test_an_array_of_another_size_in_the_place_of_the_positions_of_all_antennas(tmp_path: Path) -> None:
+    larger = {"kind": "array_scale", "parameters": {"baselines longer than stated": 1.0}}
+    context = context_of(mock_job(larger), tmp_path)
+    positions = AntennaPositions()
+    n = len(positions.parameters(context.setup))
+    first = check(context, refit(context, Values()))
+    start = Active.start(positions, context.setup, np.full(n, 0.1**2), np.zeros((1, n)))
+    now = check(context, fit_patiently(context, Values((start,)), first.fitted))
+    so_far = [round_of(effect_candidate(positions), first, now)]
+    found = simplified(context, now, so_far, [ArrayScale(), Orientation(), positions], [])
+    assert found is not None
+    (scale,) = found[0].after.fitted.values.active
+    assert scale.effect.kind == "array_scale"
+    assert abs(scale.x[0, 0] - 1.0) < 4 * found[0].after.fitted.fit.std[0][0, 0]
 
 
 def test_antennas_that_stand_anywhere_are_no_array_that_is_turned(tmp_path: Path) -> None:

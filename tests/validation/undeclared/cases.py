@@ -65,6 +65,7 @@ EFFECTS = {
         Kind("antenna_positions", geometry.antenna_positions, 2e-4, 0.2, "m"),
         Kind("timestamp", geometry.timestamp, 0.04, 30.0, "s", FINE),
         Kind("orientation", geometry.orientation, 0.01, 20.0, "arcmin"),
+        Kind("array_scale", geometry.array_scale, 0.001, 3.0, "%"),
         Kind("smearing", geometry.smearing, 3.0, 180.0, "s", FINE),
         Kind("antenna_pointing", beam_errors.antenna_pointing, 0.02, 3.0, "deg"),
         Kind("nonredundant_beams", beam_errors.nonredundant_beams, 1e-3, 0.1, ""),

@@ -63,3 +63,10 @@ def orientation(truth: Truth, rng: np.random.Generator, strength: float) -> Draw
         Parameter(thing, f"turned about {axis}", "arcmin", float(part)) for axis, part in zip(axes, told, strict=True)
     ]
     return Drawn(parameters, n_params=3)
+
+
+def array_scale(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """Positions are in units that are ``strength`` per cent longer, or shorter, than metres."""
+    percent = float(strength * rng.choice([-1, 1]))
+    truth.antpos = (1 + 0.01 * percent) * truth.antpos
+    return Drawn([Parameter("array", "longer", "%", percent)], n_params=1)

@@ -260,6 +260,12 @@ def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
     return {("clock", ", ".join(["later", *name.split(", ")[1:]])): pair for name, pair in pairs if "later" in name}
 
 
+def read_scale(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read by how much baselines are longer."""
+    (pair,) = averaged(parameters).values()
+    return {("array", "longer"): pair}
+
+
 def read_turns(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
     """Read what is turned about which axes, those here or those among the stars in the middle of the data.
 
@@ -412,6 +418,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "elongated_source": read_fluxes,
     "timestamp": read_clock,
     "orientation": read_turns,
+    "array_scale": read_scale,
     "smearing": read_lengths,
     "ground_emitter": read_emitter,
     "compression": read_compression,
