@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.instrument.gain_laws import laws_followed
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -16,6 +16,7 @@ from hydrabeam_mpi.effects.shared.per_antenna import (
     antenna_parameters,
     common_values,
     logarithms,
+    lost_signs,
     product_of_gains,
     row_antennas,
     row_parameters,
@@ -70,6 +71,10 @@ class AntennaGains(InChannels):
     def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
         """Return the logarithms of the gains that were found, (..., n_params)."""
         return logarithms(x)
+
+    def needed_at(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, IntArray, BoolArray]:
+        """Return the effect, and the phases of lost signs."""
+        return self, np.arange(x.shape[-1]), lost_signs(x)
 
     def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray

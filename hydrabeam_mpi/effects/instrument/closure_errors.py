@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN, logarithms
+from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN, logarithms, lost_signs
 from hydrabeam_mpi.effects.shared.per_baseline import PerBaseline, sense_of
 
 AT_MOST = 100
@@ -53,6 +54,10 @@ class ClosureErrors(PerBaseline):
     def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
         """Return the logarithms of the factors that were found, (..., n_params)."""
         return logarithms(x)
+
+    def needed_at(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, IntArray, BoolArray]:
+        """Return the effect, and the phases of lost signs."""
+        return self, np.arange(x.shape[-1]), lost_signs(x)
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return f of every row, (Ntimes, Nbls)."""

@@ -21,7 +21,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.shared.in_time import InTime
 from hydrabeam_mpi.effects.shared.per_antenna import antennas_named, logarithm_of, product_of_gains
-from hydrabeam_mpi.effects.shared.time_laws import Smooth
+from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth
 from hydrabeam_mpi.eigen import IN_A_SECOND
 from hydrabeam_mpi.errors import InputError
 
@@ -94,20 +94,40 @@ class GainJitter(ScannedEffect):
     def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray
     ) -> list[tuple[BoolArray, Effect, FloatArray]]:
-        """Return all of it as gains that drift about levels of their own: a law has fewer numbers than there are times.
+        """Return all of it as gains that jump, and as gains that drift: a law has fewer numbers than there are times.
 
-        Only fitted times tell what it is.
+        Each is about levels of its own. Only fitted times in use tell what it is, and of phases no whole turns.
         """
-        gains, fitted = AntennaGains(), setup.times if setup.fitted is None else setup.fitted
-        law = Smooth().over(setup.jd).candidates(setup.fitted_jd, setup.jd).with_level()
-        values = x.mean(axis=0).reshape(len(self.gains_of), -1)[:, np.searchsorted(setup.times, fitted)]
-        numbers = np.linalg.lstsq(law.functions(setup.observation.times[fitted]), values.T, rcond=None)[0].T
-        places, parts = self._places(setup)
-        drift = InTime(gains, law)
-        begun = np.zeros(len(drift.parameters(setup)))
+        (places, parts), rows = self._places(setup), self._by_time(setup, x.mean(axis=0), std.mean(axis=0))
+        drift = Smooth().over(setup.jd).candidates(setup.fitted_jd, setup.jd).with_level()
+        jumps = Piecewise().over(setup.jd).candidates(setup.fitted_jd, setup.jd).with_level()
+        jumps = jumps.at([one for row in rows for one in jumps.wanted_by(*row)])
         own = len(PARTS) * np.searchsorted(setup.antennas_in_use, places) + parts
-        begun[own[:, np.newaxis] * numbers.shape[1] + np.arange(numbers.shape[1])] = numbers
-        return [(np.ones(x.shape[1], dtype=bool), drift, begun)]
+        found: list[tuple[BoolArray, Effect, FloatArray]] = []
+        for law in [*([jumps] if jumps.jumps else []), drift]:
+            effect, names = InTime(AntennaGains(), law), law.names()
+            begun = np.zeros(len(effect.parameters(setup)))
+            for first, (times, values, errors) in zip(len(names) * own, rows, strict=True):
+                functions = law.functions(times) / errors[:, np.newaxis]
+                begun[first : first + len(names)] = np.linalg.lstsq(functions, values / errors, rcond=None)[0]
+            found.append((np.ones(x.shape[1], dtype=bool), effect, begun))
+        return found
+
+    def _by_time(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return the fitted times in use of each amplitude or phase, JD, with values and errors there, (Ntimes,) each.
+
+        Phases go on from time to time by less than half a turn.
+        """
+        jd, shape = setup.observation.times[setup.times], (len(self.gains_of), len(setup.times))
+        is_fitted = np.isin(setup.times, setup.times if setup.fitted is None else setup.fitted)
+        rows = list[tuple[FloatArray, FloatArray, FloatArray]]()
+        for (_, part), values, errors in zip(self.gains_of, x.reshape(shape), std.reshape(shape), strict=True):
+            known = is_fitted & (errors > 0)
+            there = values[known]
+            rows.append((jd[known], np.asarray(np.unwrap(there)) if part == "phase" else there, errors[known]))
+        return rows
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return m or i m for the first antenna of a row, m or -i m for the second; ``x`` is (n_params,)."""
@@ -131,6 +151,19 @@ class GainJitter(ScannedEffect):
         of_antennas = np.array([self._of_antennas(setup, one) for one in np.atleast_2d(x)])
         ln = logarithm_of(1 + of_antennas[..., places].swapaxes(1, 2))
         return np.asarray(np.where(parts[:, np.newaxis] == 0, ln.real, ln.imag).reshape(x.shape))
+
+    def needed_at(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, IntArray, BoolArray]:
+        """Return the effect with the phases of antennas whose signs are lost, at the times at which they are."""
+        n_times, rows = len(setup.times), x.reshape(-1, len(self.gains_of), len(setup.times))
+        lost: dict[tuple[int, Part], BoolArray] = {
+            (number, "phase"): at_times
+            for (number, part), at_times in zip(self.gains_of, np.any(rows < -1, axis=0), strict=True)
+            if part == "ln amplitude" and at_times.any()
+        }
+        more = type(self)([*self.gains_of, *(one for one in lost if one not in self.gains_of)])
+        needed = np.array([lost.get(one, np.zeros(n_times, dtype=bool)) for one in more.gains_of]).reshape(-1)
+        needed[: x.shape[-1]] &= ~np.any(rows, axis=0).reshape(-1)
+        return more, np.arange(x.shape[-1]), needed
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""

@@ -229,6 +229,16 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """Return where a fit begins, given the parameters with which the columns at zero fit best, (..., n_params)."""
         return x
 
+    def needed_at(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, IntArray, BoolArray]:
+        """Return the effect with all that a fit needs which begins as `begun` says, with the columns' ``x`` at zero.
+
+        A gain whose sign is lost has a phase of pi, of which columns at zero say nothing, so that none was looked for.
+        With it come the numbers of the effect's own parameters in it, (n_params,), and which others are needed,
+        (n_all,).
+        """
+        n = x.shape[-1]
+        return self, np.arange(n), np.zeros(n, dtype=bool)
+
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return E at ``x``, (Ntimes, Nbls); zero for effects that multiply. Exact, not linearised."""
         if self.multiplies:

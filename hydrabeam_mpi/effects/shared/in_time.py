@@ -222,7 +222,17 @@ class InTime(ScannedEffect):
         change = np.linalg.pinv(functions) @ (self.effect.begun(setup, now) - now)  # (n_rows, n functions, n_own)
         more = np.moveaxis(change, 1, 2).reshape(len(rows), -1)
         more = np.pad(more, ((0, 0), (0, rows.shape[1] - more.shape[1])))  # what all have in common stays
-        return np.where(rows == 0, 0.0, rows + more).reshape(x.shape)
+        stays = (rows == 0) & ~self.needed_at(setup, x)[2]
+        return np.where(stays, 0.0, rows + more).reshape(x.shape)
+
+    def needed_at(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, IntArray, BoolArray]:
+        """Return the effect, and all functions of what it needs itself at one of the times."""
+        needed = super().needed_at(setup, x)[2]
+        if self.multiplies:
+            now = np.array([self._at_times(setup, row, setup.times) for row in np.atleast_2d(x)])
+            own = np.repeat(self.effect.needed_at(setup, now)[2], len(self.time_law.names()))
+            needed[: len(own)] = own
+        return self, np.arange(len(needed)), needed
 
     def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Return how far the effect's own parameters, without what is constant of them, are beyond at the worst time.
@@ -254,18 +264,18 @@ class InTime(ScannedEffect):
         """Return the number of the effect's candidates, or where it has none that of functions."""
         if isinstance(self.effect, ScannedEffect):
             return self.effect.n_hypotheses(setup)
-        return len(self._candidates(setup).names())
+        return len(self._scanned(setup)[1])
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Return the sums for every candidate, each (n_hypotheses, p): s phi_k is correlated as s is."""
-        functions = self.scanned_functions(block)
         if isinstance(self.effect, ScannedEffect):
-            return self.effect.scan_in_time(block, functions)
+            return self.effect.scan_in_time(block, self.scanned_functions(block))
+        functions = self._scanned(block.setup)[0][block.times]
         told, power = self._sums_of_times(block)
         return functions.T @ told, functions.T**2 @ power
 
     def scanned_functions(self, block: RowBlock) -> FloatArray:
-        """Return the functions that are scanned, (Ntimes, k)."""
+        """Return the functions with which candidates are scanned, (Ntimes, k)."""
         return self._candidates(block.setup).functions(block.setup.observation.times)[block.times]
 
     def simpler_elements(
@@ -288,7 +298,7 @@ class InTime(ScannedEffect):
             n_each = 2 * len(law.names())
             return type(self)(self.effect.at(setup, hypotheses[: max(MOST_COLUMNS // max(n_each, 1), 1)]), law)
         most = max(MOST_COLUMNS // len(self.effect.parameters(setup)), LEAST_FUNCTIONS)
-        return type(self)(self.effect, law.at(law.best(np.asarray(hypotheses), most)))
+        return type(self)(self.effect, law.at(law.best(self._scanned(setup)[1][hypotheses], most)))
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> InTime:
         """Pick an element at random, or a function."""
@@ -312,6 +322,10 @@ class InTime(ScannedEffect):
         """Return the law with all functions that are looked at."""
         law = self.time_law.over(setup.jd).candidates(setup.fitted_jd, setup.jd)
         return law.first(self.effect.functions_in_time) if isinstance(self.effect, ScannedEffect) else law
+
+    def _scanned(self, setup: ObservingSetup) -> tuple[FloatArray, IntArray]:
+        """Return what functions are scanned by, at all times of the observation, and of which each is."""
+        return self._candidates(setup).scanned(setup.fitted_jd, setup.observation.times)
 
     def _functions(self, setup: ObservingSetup) -> FloatArray:
         """Return the functions at all times of the observation, (Ntimes, n); not to be changed."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -26,6 +26,14 @@ def logarithms(x: FloatArray) -> FloatArray:
     """
     ln = logarithm_of(1 + x[..., 0::2] + 1j * x[..., 1::2])
     return np.stack([ln.real, ln.imag], axis=-1).reshape(x.shape)
+
+
+def lost_signs(x: FloatArray) -> BoolArray:
+    """Return which phases factors need that have a negative 1 + x_0, and no x_1, (n,); ``x`` is (..., n)."""
+    needed = np.zeros(x.shape[-1], dtype=bool)
+    rows = x.reshape(-1, len(needed))
+    needed[1::2] = np.any(rows[:, 0::2] < -1, axis=0) & ~np.any(rows[:, 1::2], axis=0)
+    return needed
 
 
 def logarithm_of(factors: ComplexArray) -> ComplexArray:

@@ -19,6 +19,8 @@ MOST_ORDERS = 16
 this one is for time alone: of twenty antennas no more functions can be weighed together anyway."""
 LEVEL = "level"
 """What the number of the function that is one at all times is called."""
+AROUND_JUMP = (2, 4, 8)
+"""Fitted times before and after a jump that are compared: what lasts as long shows most so."""
 SECOND = 1 / 86400
 """Days by which times may be off, as files round them."""
 
@@ -61,6 +63,14 @@ class TimeLaw(ABC):
     @abstractmethod
     def best(self, ordered: IntArray, most: int) -> IntArray:
         """Return at most so many of the functions, the best ones first, that are not nearly the same."""
+
+    def scanned(self, fitted: FloatArray, times: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return what tells which functions are the best, at ``times``, (Ntimes, n), and of which one each is, (n,).
+
+        It is the functions themselves, or also what else shows them.
+        """
+        functions = self.functions(times)
+        return functions, np.arange(functions.shape[1])
 
     def alternatives(self, number: int, fitted: FloatArray, times: FloatArray) -> list[Self]:
         """Return the law with one of its functions other than it is at those of the ``times`` that are not fitted."""
@@ -173,6 +183,24 @@ class Piecewise(TimeLaw):
         """Return the law with some jumps."""
         return replace(self, jumps=tuple(self.jumps[i] for i in sorted(set(chosen))))
 
+    def scanned(self, fitted: FloatArray, times: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return the steps, and by what a few fitted times after each jump differ from as many before it.
+
+        What comes and goes again a step shows where it comes, but hardly where it goes: from there on all is as it was.
+        """
+        edge = np.searchsorted(fitted, np.array(self.jumps).reshape(-1))
+        is_fitted, from_jump = (
+            np.isin(times, fitted)[:, np.newaxis],
+            np.searchsorted(fitted, times)[:, np.newaxis] - edge,
+        )
+        found = [self.functions(times)]
+        for n in AROUND_JUMP:
+            # Of as many on either side: of a few at an end of the data each would count for more.
+            is_whole = (edge >= n) & (edge <= len(fitted) - n)
+            is_near = is_fitted & is_whole & (from_jump >= -n) & (from_jump < n)
+            found.append(np.where(is_near, np.where(from_jump >= 0, 1.0, -1.0), 0.0))
+        return np.concatenate(found, axis=1), np.tile(np.arange(len(self.jumps)), len(found))
+
     def best(self, ordered: IntArray, most: int) -> IntArray:
         """Return the first ones and none next to them, which explain nearly as much."""
         kept: list[int] = []
@@ -188,6 +216,40 @@ class Piecewise(TimeLaw):
         between = times[(times >= fitted[place - 1]) & (times <= fitted[place])]
         moved = [other for other in (0.5 * (between[1:] + between[:-1])).tolist() if other != jump]
         return [replace(self, jumps=tuple(sorted((*others, other)))) for other in moved]
+
+    def with_level(self) -> Piecewise:
+        """Return the law with a jump before the first time, for what is not looked for without its level."""
+        assert self.span is not None
+        return replace(self, jumps=(self.span[0] - SECOND, *self.jumps))
+
+    def wanted_by(self, times: FloatArray, values: FloatArray, std: FloatArray) -> list[int]:
+        """Return the numbers of the jumps that values with these errors want; all are (Ntimes,).
+
+        A jump is worth it that lowers N ln(what is left of N values) by more than ln N (Schwarz 1978) and the price of
+        picking one of all. About a level, the first of them, those are added that leave least, and what is not worth it
+        beside the others, as the level may not be, is left out in the end.
+        """
+        steps, values = self.functions(times) / std[:, np.newaxis], values / std
+        n = len(times)
+        if n < 2 or len(self.jumps) < 2:
+            return []
+        price = float(np.log(n) + 2 * np.log(len(self.jumps)))
+
+        def left(which: list[int]) -> float:
+            rest = values - steps[:, which] @ np.linalg.lstsq(steps[:, which], values, rcond=None)[0]
+            # Errors alone leave one of each.
+            return n * float(np.log(max(float(rest @ rest), n)))
+
+        chosen = [0]
+        while 2 * len(chosen) < n:
+            best = min(range(1, len(self.jumps)), key=lambda one: left([*chosen, one]))
+            if left([*chosen, best]) + price >= left(chosen):
+                break
+            chosen.append(best)
+        for one in chosen.copy():
+            others = [other for other in chosen if other != one]
+            chosen = others if left(others) < left(chosen) + price else chosen
+        return chosen
 
     def anew(self, times: FloatArray) -> tuple[Self, list[list[int]]]:
         """Return the law with one level of other times, that differs by as much as the jumps do."""

@@ -18,9 +18,19 @@ from hydrabeam_mpi.loop.selection.refits import both, fit_patiently, is_same_pri
 
 
 def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
-    """Return an effect where its fit begins, with a prior of variances (n_params,)."""
-    effect, x = finding.effect, np.where(prior_var > 0, finding.evidence.x, 0.0)
-    return Active.start(effect, context.setup, prior_var, effect.begun(context.setup, x))
+    """Return an effect where its fit begins, with a prior of variances (n_params,).
+
+    What else it needs there is as large beforehand as it is where the fit begins.
+    """
+    x = np.where(prior_var > 0, finding.evidence.x, 0.0)
+    effect, own, needed = finding.effect.needed_at(context.setup, x)
+    n = len(needed)
+    of_all, all_x = np.zeros(n), np.zeros((*x.shape[:-1], n))
+    of_all[own], all_x[..., own] = prior_var, x
+    begun = effect.begun(context.setup, all_x)
+    if needed.any():
+        of_all[needed] = np.mean(begun[..., needed] ** 2)
+    return Active.start(effect, context.setup, of_all, begun)
 
 
 def fit_foremost(context: FitContext, before: Fitted, finding: Finding, worth: Worth | None = None) -> Fitted | None:

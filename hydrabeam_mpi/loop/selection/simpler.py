@@ -96,10 +96,13 @@ def _begun(context: FitContext, kept: Values, last: Fitted, finding: Finding) ->
     """Return where the simpler effect is to be what the other was; None where a fit begins there anyway.
 
     What is seen by the beam is small at first in any other fit, as it is not known how the beam gives way. Here it is.
+    And what the linear model finds may stand for something else, such as for logarithms of gains, which these are.
     Collective: all ranks of the grid.
     """
-    start = Active.start(finding.effect, context.setup, finding.evidence.prior_var, finding.evidence.x)
-    return solved_at(context, kept.extended(start), last, keep=True) if start.adds else None
+    effect, x = finding.effect, finding.evidence.x
+    start = Active.start(effect, context.setup, finding.evidence.prior_var, x)
+    begins_there = not start.adds and np.array_equal(effect.begun(context.setup, x), x)
+    return None if begins_there else solved_at(context, kept.extended(start), last, keep=start.adds)
 
 
 def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:

@@ -1,6 +1,8 @@
 import numpy as np
+import pytest
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN
 from hydrabeam_mpi.random import generator
 from tests.effects.small import small_block, small_setup
@@ -32,3 +34,14 @@ def test_a_fit_of_a_lost_sign_begins_with_its_phase() -> None:
     np.testing.assert_allclose(begun[:4], [0.0, np.pi, 1e-9, -2e-9], atol=1e-15)
     assert -LARGEST_LN <= begun[4] < -10
     assert not begun[6:].any()
+
+
+@pytest.mark.parametrize("kind", [AntennaGains, ClosureErrors])
+def test_a_lost_sign_needs_a_phase_that_was_not_looked_for(kind: type[AntennaGains] | type[ClosureErrors]) -> None:
+    """In any of the channels; where there is a phase already, or the sign stays, none is needed."""
+    x = np.array([[0.0, 0.0, -0.9, 0.0, -2.0, 0.1, 0.3, 0.0], [-1.1, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0]])
+    effect = kind()
+    same, own, needed = effect.needed_at(small_setup(), x)
+    assert same is effect
+    np.testing.assert_array_equal(own, np.arange(8))
+    np.testing.assert_array_equal(np.flatnonzero(needed), [1])

@@ -60,6 +60,39 @@ def test_what_all_phases_have_in_common_cancels() -> None:
         np.testing.assert_allclose(every.factor(block, one), 1, atol=1e-14)
 
 
+def test_a_sign_that_is_lost_at_a_time_needs_its_phase() -> None:
+    """Which the effect gets where it has none."""
+    setup = small_setup(n_times=4)
+    one, two = (int(setup.observation.antenna_numbers[i]) for i in (1, 4))
+    effect = GainJitter([(one, "ln amplitude"), (two, "ln amplitude"), (two, "phase")])
+    x = np.array([0.1, -2.0, 0.0, -0.5, 0.0, 0.0, -3.0, 0.0, 0.0, 0.0, 0.0, 0.2])
+    more, own, needed = effect.needed_at(setup, x)
+    assert isinstance(more, GainJitter)
+    assert more.gains_of == (*effect.gains_of, (one, "phase"))
+    np.testing.assert_array_equal(own, np.arange(12))
+    np.testing.assert_array_equal(np.flatnonzero(needed), [10, 13])
+    begun = more.begun(setup, np.append(x, np.zeros(4)))
+    np.testing.assert_allclose(begun[[1, 6, 10, 13]], [0.0, np.log(2), np.pi, np.pi])
+
+
+def test_phases_that_jump_by_nearly_half_a_turn_are_told_either_way_round() -> None:
+    """And are one jump, whatever is said of a time that no data tell."""
+    setup = small_setup(n_times=12)
+    number = int(setup.observation.antenna_numbers[1])
+    x, std = np.zeros((2, 12)), np.full((2, 12), 1e-3)
+    x[:, 6:] = [3.1, 3.1 - 2 * np.pi, 3.1, 3.1, 0.0, 3.1]
+    std[:, 10] = 2.0
+    jumps, drift = GainJitter([(number, "phase")]).simpler_elements(setup, x, std)
+    which, effect, begun = jumps
+    assert which.all()
+    assert effect.law == "piecewise"
+    assert drift[1].law == "smooth"
+    names = effect.parameters(setup).names
+    (used,) = np.flatnonzero(begun)
+    assert names[used].startswith(f"antenna {number} phase, jump at JD {setup.observation.times[5:7].mean():.4f}")
+    assert begun[used] == pytest.approx(3.1, abs=1e-5)
+
+
 @pytest.mark.parametrize("n_times", [4, 200, 600])
 def test_as_many_are_weighed_together_as_there_is_room_for(n_times: int) -> None:
     """All of a small array, or those that explain most: a part that is left out would pass for drifts of the rest."""

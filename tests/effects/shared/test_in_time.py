@@ -11,8 +11,9 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.shared.in_time import InTime
-from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth
+from hydrabeam_mpi.effects.shared.time_laws import SECOND, Piecewise, Smooth
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.random import generator
 from tests.effects.cases import experiment_of
 from tests.effects.small import small_block, with_effect
 
@@ -114,6 +115,40 @@ def test_a_fit_of_a_sign_that_is_lost_for_some_time_begins_with_jumps_of_the_pha
     begun = effect.begun(setup, x)
     np.testing.assert_allclose(begun[0, 4:8], [0.0, 0.0, np.pi, -np.pi], atol=1e-9)
     assert not np.delete(begun, np.s_[4:8]).any()
+    assert not effect.needed_at(setup, x)[2].any()
+    # Where no phase was looked for it is needed.
+    x[0, 6:8] = 0.0
+    np.testing.assert_array_equal(np.flatnonzero(effect.needed_at(setup, x)[2]), [6, 7])
+    np.testing.assert_allclose(effect.begun(setup, x), begun, atol=1e-9)
+
+
+def test_a_jump_shows_by_what_is_near_it(setup: ObservingSetup) -> None:
+    """What comes and goes again shows where it goes as well, and of all jumps at these two most."""
+    times = np.arange(30.0)
+    fitted = times[::2]
+    law = Piecewise().over(times).candidates(fitted, times)
+    functions, number = law.scanned(fitted, times)
+    assert functions.shape == (30, len(number))
+    signal = np.where((times >= 10) & (times < 19), 1.0, 0.0)[::2]
+    score = functions[::2].T @ signal
+    drop = score**2 / np.maximum(np.sum(functions[::2] ** 2, axis=0), 1.0)
+    best = law.best(number[np.argsort(-drop, kind="stable")], 3)
+    assert {law.jumps[one] for one in best} > {9.5, 19.5}
+    # Times that are not fitted tell nothing.
+    assert not functions[1::2, len(law.jumps) :].any()
+
+
+def test_jumps_that_values_want(setup: ObservingSetup) -> None:
+    """As many as tell them; what is not known counts as little as it is known."""
+    times, std = np.arange(20.0), np.full(20, 0.1)
+    law = Piecewise().over(times).candidates(times, times).with_level()
+    noise = 0.1 * generator(3, "values").standard_normal(20)
+    values = np.where(times < 8, 2.0, -1.0)
+    assert {law.jumps[one] for one in law.wanted_by(times, values + noise, std)} == {-SECOND, 7.5}
+    assert law.wanted_by(times, noise, std) == []
+    values[17:] = 0.0
+    std[17:] = 1e3
+    assert {law.jumps[one] for one in law.wanted_by(times, values, std)} == {-SECOND, 7.5}
 
 
 def test_tilts_at_a_time_are_those_of_an_antenna_that_is_tilted_so(setup: ObservingSetup) -> None:

@@ -216,6 +216,28 @@ def test_gains_that_were_taken_for_jittering_ones(jitters: bool, tmp_path: Path)
         assert found[0].after.score.chi2 == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.parametrize("turn", [2.0, 3.1])
+def test_a_phase_that_jumps_was_taken_for_a_jittering_one(turn: float, tmp_path: Path) -> None:
+    """However near half a turn it is: its fit begins where the phases are."""
+    n_times = 18
+    jump = float(context_of(mock_job(n_times=n_times), tmp_path / "plain").setup.observation.times[8:10].mean())
+    effect = InTime(AntennaGains(), Piecewise(jumps=(jump,)))
+    name = f"antenna 2 phase, {effect.time_law.names()[0]}"
+    truth = {"kind": "antenna_gains", "settings": effect.describe(), "parameters": {name: turn}}
+    context = context_of(mock_job(truth, n_times=n_times), tmp_path)
+    jitter = GainJitter([(2, "phase")])
+    first = check(context, refit(context, Values()))
+    x = np.where(context.setup.observation.times >= jump, turn, 0.0)[np.newaxis]
+    start = Active.start(jitter, context.setup, np.full(n_times, 4.0), x)
+    now = check(context, refit(context, Values((start,)), first.fitted))
+    found = simplified(context, now, [round_of(effect_candidate(jitter), first, now)], [AntennaGains()], [])
+    assert found is not None
+    (jumping,) = found[0].after.fitted.values.active
+    (used,) = jumping.used
+    assert jumping.effect.parameters(context.setup).names[used] == name
+    assert abs(jumping.x[0, used] - turn) < 4 * found[0].after.fitted.fit.std[0][0, used]
+
+
 def test_a_clock_that_was_right_at_most_times_has_nothing_constant(plain: FitContext, tmp_path: Path) -> None:
     """Its constant form would be a model with no parameter."""
     jump = 0.5 * plain.setup.observation.times[8:10].sum()
