@@ -127,6 +127,7 @@ def refit(
             # Those before are none, or belong to effects that have been left out.
             start = with_own_beams(context, start, MAX_STEPS, STEP_SIGMAS)
         end, step, ended = _search(context, start, first_step, worth, for_evidence, within)
+        end = replace(end, values=end.values.without_turns(context.setup))
         # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
         solved = solve_beams(context, end, keep=ended is not Ended.CONVERGED and end.values.adds)
     except InputError as error:

@@ -101,6 +101,14 @@ class Active:
         prior_var[self.effect.parameters(setup).nonlinear] = 0.0
         return prior_var
 
+    def without_turns(self, setup: ObservingSetup) -> Active:
+        """Return the effect with the values nearest to zero that are the same C, what is held at zero included."""
+        x = self.effect.without_turns(setup, self.x)
+        if np.array_equal(x, self.x):
+            return self
+        held = self.degenerate_directions
+        return replace(self, x=x - (x @ np.linalg.pinv(held)) @ held)
+
     def labels(self, setup: ObservingSetup) -> list[tuple[str, str]]:
         """Return name and unit of each parameter in use."""
         parameters = self.effect.parameters(setup)
@@ -185,6 +193,12 @@ class Values:
     def x(self) -> FloatArray:
         """The active parameters in use, side by side, (Nfreqs, q); there must be an effect."""
         return np.concatenate([one.x[:, one.used] for one in self.active], axis=1)
+
+    def without_turns(self, setup: ObservingSetup) -> Values:
+        """Return the same model without whole turns of phases, which the data do not know, but the prior does."""
+        active = tuple(one.without_turns(setup) for one in self.active)
+        is_so = all(one is other for one, other in zip(active, self.active, strict=True))
+        return self if is_so else replace(self, active=active)
 
     def at(self, x: FloatArray) -> Values:
         """Return the same effects with other values of the parameters in use, side by side, (Nfreqs, q)."""

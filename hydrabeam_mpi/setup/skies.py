@@ -20,7 +20,12 @@ from hydrabeam_mpi.model.sky import REFERENCE_FREQ, Sky, concatenate, mock_sky
 
 def source_positions(job: Job, sky: Sky, observation: Observation) -> SourcePositions:
     """Follow the sources as the job says: turned by sidereal time for mocks, apparent places for catalogues."""
-    return ApparentPositions(sky, observation) if are_apparent(job) else RotatedPositions(sky, observation)
+    return positions_of(are_apparent(job), sky, observation)
+
+
+def positions_of(apparent: bool, sky: Sky, observation: Observation) -> SourcePositions:
+    """Follow the sources by their apparent places, or turned by sidereal time."""
+    return ApparentPositions(sky, observation) if apparent else RotatedPositions(sky, observation)
 
 
 def are_apparent(job: Job) -> bool:

@@ -159,6 +159,21 @@ def test_it_multiplies_or_adds_or_changes_the_sky(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
+def test_phases_without_whole_turns_are_the_same(kind: str) -> None:
+    effect, block, case = set_up(kind)
+    x = draw(effect, block.setup, case.strengths[0])
+    far = x + 20 * np.random.default_rng(3).normal(size=x.shape) * (
+        np.array(effect.parameters(block.setup).units) == "rad"
+    )
+    nearest = effect.without_turns(block.setup, far)
+    assert nearest.shape == far.shape
+    assert np.all(np.abs(nearest) <= np.abs(far))
+    if effect.multiplies:
+        np.testing.assert_allclose(effect.factor(block, nearest), effect.factor(block, far), rtol=1e-12)
+    np.testing.assert_array_equal(effect.without_turns(block.setup, np.stack([far, nearest])), [nearest, nearest])
+
+
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_it_says_whether_what_it_adds_is_in_proportion_to_the_beam(kind: str) -> None:
     effect, block, case = set_up(kind)
     if effect.multiplies or effect.changes_sky:

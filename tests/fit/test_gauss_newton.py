@@ -227,6 +227,24 @@ def test_it_comes_back_from_afar(tmp_path: Path) -> None:
     assert heldout_chi2(context, fitted) < 1.4
 
 
+@pytest.mark.parametrize("left_out", [0, 4])
+def test_phases_end_without_whole_turns(left_out: int, tmp_path: Path) -> None:
+    """Where all antennas are free, so that what their phases have in common is held, and where some are not."""
+    context = context_of(mock_job(CASES["antenna_gains"][0]), tmp_path)
+    gains = free(context, AntennaGains(), 1.0, only=range(left_out, len(context.setup.antennas_in_use) * 2))
+    near = refit(context, Values((gains,)))
+    (start,) = near.values.active
+    turns = np.zeros_like(start.x)
+    turns[:, [5, 11]] = [2 * np.pi, -4 * np.pi]
+    # What all have in common is held at zero from the beginning.
+    held = start.degenerate_directions
+    turns -= (turns @ held.T) @ held
+    wide = replace(start, x=start.x + turns)
+    found = refit(context, Values((wide,)), near)
+    np.testing.assert_allclose(found.values.active[0].x, start.x, atol=1e-4)
+    assert found.diagnostics.converged
+
+
 def fitted_chi2(context: FitContext, fitted: Fitted) -> float:
     """Return chi^2 of the fitted rows of the first channel, with E as the fit's own beam sees it."""
     rows, added = context.train.calibrated(fitted.estimate)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.instrument.gain_laws import laws_followed
+from hydrabeam_mpi.effects.instrument.gain_solution import solved_gains
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -17,6 +18,7 @@ from hydrabeam_mpi.effects.shared.per_antenna import (
     common_values,
     logarithms,
     lost_signs,
+    phases_without_turns,
     product_of_gains,
     row_antennas,
     row_parameters,
@@ -75,6 +77,21 @@ class AntennaGains(InChannels):
     def needed_at(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, IntArray, BoolArray]:
         """Return the effect, and the phases of lost signs."""
         return self, np.arange(x.shape[-1]), lost_signs(x)
+
+    def beside_model(
+        self, setup: ObservingSetup, overlap: ComplexArray, model: FloatArray
+    ) -> tuple[FloatArray, ComplexArray] | None:
+        """Return the gains of calibration, of each channel, (Nfreqs, n_params), and the product of both antennas'."""
+        if self.shared:
+            return None
+        ends, n = np.searchsorted(setup.antennas_in_use, setup.antenna_index), len(setup.antennas_in_use)
+        gains = np.array([solved_gains(*one, ends, n) for one in zip(overlap, model, strict=True)])
+        x = np.stack([gains.real - 1, gains.imag], axis=-1).reshape(len(gains), -1)
+        return x, gains[:, ends[:, 0]] * gains[:, ends[:, 1]].conj()
+
+    def without_turns(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the parameters with phases from -pi to pi, (..., n_params)."""
+        return phases_without_turns(x)
 
     def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray

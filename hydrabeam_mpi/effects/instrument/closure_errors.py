@@ -8,7 +8,7 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN, logarithms, lost_signs
+from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN, logarithms, lost_signs, phases_without_turns
 from hydrabeam_mpi.effects.shared.per_baseline import PerBaseline, sense_of
 
 AT_MOST = 100
@@ -58,6 +58,10 @@ class ClosureErrors(PerBaseline):
     def needed_at(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, IntArray, BoolArray]:
         """Return the effect, and the phases of lost signs."""
         return self, np.arange(x.shape[-1]), lost_signs(x)
+
+    def without_turns(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the parameters with phases from -pi to pi, (..., n_params), where none of them are held by gains."""
+        return x if len(self.degenerate_directions(setup)) else phases_without_turns(x)
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return f of every row, (Ntimes, Nbls)."""

@@ -20,7 +20,12 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.shared.in_time import InTime
-from hydrabeam_mpi.effects.shared.per_antenna import antennas_named, logarithm_of, product_of_gains
+from hydrabeam_mpi.effects.shared.per_antenna import (
+    antennas_named,
+    logarithm_of,
+    product_of_gains,
+    without_whole_turns,
+)
 from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth
 from hydrabeam_mpi.eigen import IN_A_SECOND
 from hydrabeam_mpi.errors import InputError
@@ -164,6 +169,11 @@ class GainJitter(ScannedEffect):
         needed = np.array([lost.get(one, np.zeros(n_times, dtype=bool)) for one in more.gains_of]).reshape(-1)
         needed[: x.shape[-1]] &= ~np.any(rows, axis=0).reshape(-1)
         return more, np.arange(x.shape[-1]), needed
+
+    def without_turns(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the parameters with phases from -pi to pi, (..., n_params)."""
+        is_phase = np.repeat([part == "phase" for _, part in self.gains_of], len(setup.times))
+        return np.where(is_phase, without_whole_turns(x), x)
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""

@@ -239,6 +239,30 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         n = x.shape[-1]
         return self, np.arange(n), np.zeros(n, dtype=bool)
 
+    def beside_model(
+        self, setup: ObservingSetup, overlap: ComplexArray, model: FloatArray
+    ) -> tuple[FloatArray, ComplexArray] | None:
+        """Return what makes up best for what visibilities m of the model beam leave of the data; None if that is not C.
+
+        Parameters
+        ----------
+        setup : ObservingSetup
+        overlap, model : ndarray, (Nfreqs, Nbls)
+            Sums over time of w d m* and of w |m|^2.
+
+        Returns
+        -------
+        x : ndarray, (Nfreqs, n_params)
+            Parameters, as columns at zero would have them; see `begun`.
+        factor : ndarray of complex, (Nfreqs, Nbls)
+            C with these.
+        """
+        return None
+
+    def without_turns(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the parameters nearest to zero of the same C, (..., n_params): phases without whole turns."""
+        return x
+
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return E at ``x``, (Ntimes, Nbls); zero for effects that multiply. Exact, not linearised."""
         if self.multiplies:

@@ -234,6 +234,14 @@ class InTime(ScannedEffect):
             needed[: len(own)] = own
         return self, np.arange(len(needed)), needed
 
+    def without_turns(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the effect's own parameters nearest to zero at each jump, (..., n_params); a drift stays as it is."""
+        if not isinstance(self.time_law, Piecewise):
+            return x
+        n_own, by_jump = len(self.effect.parameters(setup)), x.reshape(*x.shape[:-1], -1, len(self.time_law.names()))
+        own = self.effect.without_turns(setup, by_jump[..., :n_own, :].swapaxes(-1, -2)).swapaxes(-1, -2)
+        return np.concatenate([own, by_jump[..., n_own:, :]], axis=-2).reshape(x.shape)
+
     def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Return how far the effect's own parameters, without what is constant of them, are beyond at the worst time.
 

@@ -36,6 +36,16 @@ def lost_signs(x: FloatArray) -> BoolArray:
     return needed
 
 
+def without_whole_turns(phases: FloatArray) -> FloatArray:
+    """Return phases from -pi to pi, of the same shape, rad; those that are so as they are."""
+    return np.asarray(phases - 2 * np.pi * np.round(phases / (2 * np.pi)))
+
+
+def phases_without_turns(x: FloatArray) -> FloatArray:
+    """Return a and phi of factors exp(a + i phi) with the phases nearest to zero, (..., n); ``x`` has both in turn."""
+    return np.stack([x[..., 0::2], without_whole_turns(x[..., 1::2])], axis=-1).reshape(x.shape)
+
+
 def logarithm_of(factors: ComplexArray) -> ComplexArray:
     """Return a + i phi of factors exp(a + i phi), of the same shape; of zero it is finite, too."""
     return np.asarray(np.log(np.maximum(np.abs(factors), np.exp(-LARGEST_LN))) + 1j * np.angle(factors))

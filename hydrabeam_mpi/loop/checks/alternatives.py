@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from astropy.coordinates import FK4, ICRS, SkyCoord
 from astropy.time import Time
 from numpy.typing import NDArray
 
@@ -22,10 +23,11 @@ from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.rime import ForwardModel
+from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.model.tabulated import from_table
 from hydrabeam_mpi.setup.beams import TurnedBeam, other_feed
 from hydrabeam_mpi.setup.problem import Problem
-from hydrabeam_mpi.setup.skies import source_positions
+from hydrabeam_mpi.setup.skies import are_apparent, positions_of
 
 TT_MINUS_TAI = 32.184  # s
 HALF_DAY = 43200.0
@@ -50,6 +52,10 @@ class Alternative:
         Whether the data are.
     turned : bool
         Whether the beam is, by 90 degrees.
+    sky : Sky, optional
+        The same sources in other places.
+    apparent : bool, optional
+        Whether places are apparent, or turned by sidereal time alone, in place of what the job says.
     shift : ndarray, (Ntimes,), optional
         What has to be added to the observation's times, seconds.
     tolerance : float, optional
@@ -61,6 +67,8 @@ class Alternative:
     antpos: FloatArray | None = None
     conjugated: bool = False
     turned: bool = False
+    sky: Sky | None = None
+    apparent: bool | None = None
     shift: FloatArray | None = None
     tolerance: float | None = None
 
@@ -82,6 +90,37 @@ def basic_alternatives() -> list[Alternative]:
             "polarisation swapped",
             "take the other co-polarisation ([data] polarization), or say which feed points East ([beam] east_feed)",
             turned=True,
+        ),
+    ]
+
+
+def sky_alternatives(problem: Problem) -> list[Alternative]:
+    """Return other meanings that the places of the sources may have.
+
+    Each moves them nearly as a clock does that is off by a minute or more. So times have to be right with it.
+    """
+    met: dict[str, Any] = {"shift": np.zeros(problem.observation.Ntimes), "tolerance": CLOCK_TOLERANCE}
+    if not are_apparent(problem.job):
+        return [Alternative("apparent places", "set [sky] positions = 'apparent'", apparent=True, **met)]
+    sky = problem.sky
+    as_stated = SkyCoord(sky.ra, sky.dec, unit="rad")
+    frames = {
+        "places of B1950": (
+            SkyCoord(sky.ra, sky.dec, unit="rad", frame=FK4()).transform_to(ICRS()),
+            "say that the catalogue's places are of B1950: columns ra_b1950 and dec_b1950 of a text file, "
+            "[sky.columns] frame = 'fk4' of a VOTable, or the frame of its SkyModel",
+        ),
+        "places of J2000, read as B1950": (
+            as_stated.transform_to(FK4()),
+            "say that the catalogue's places are of J2000: columns ra_j2000 and dec_j2000 of a text file, "
+            "[sky.columns] frame = 'fk5' of a VOTable, or the frame of its SkyModel",
+        ),
+    }
+    return [
+        Alternative("sky turned by sidereal time alone", "set [sky] positions = 'lst'", apparent=False, **met),
+        *(
+            Alternative(name, remedy, sky=replace(sky, ra=places.ra.rad, dec=places.dec.rad), **met)
+            for name, (places, remedy) in frames.items()
         ),
     ]
 
@@ -219,5 +258,6 @@ def _view(problem: Problem, rows: Rows, alternative: Alternative, times: IntArra
         found = find_redundant_groups(of_rows, job.data.redundancy_tol, either_sign=observation.is_copolar)
         vectors, index, flipped = found.vectors, found.group, found.flipped
     engine = make_engine(job.solver.engine, vectors, antpos, smearing_of(observation))
-    positions = source_positions(job, problem.sky, moments)
-    return _View(ForwardModel(positions, problem.sky.flux, observation.freqs, engine), index, flipped)
+    sky = alternative.sky or problem.sky
+    positions = positions_of(are_apparent(job) if alternative.apparent is None else alternative.apparent, sky, moments)
+    return _View(ForwardModel(positions, sky.flux, observation.freqs, engine), index, flipped)

@@ -23,6 +23,7 @@ from hydrabeam_mpi.loop.checks.alternatives import (
     array_alternatives,
     basic_alternatives,
     predictions,
+    sky_alternatives,
     time_alternatives,
 )
 from hydrabeam_mpi.loop.checks.scale import CALIBRATED, UNCALIBRATED
@@ -33,7 +34,7 @@ from hydrabeam_mpi.setup.problem import Problem
 N_TIMES = 8
 MIN_FALL = 1000.0  # of chi^2, by which the right convention is better at least
 LEFT = 0.25  # of the residual power, that it leaves at most
-CLOCK_LEFT = 0.5  # the same of a clock, which shifts phases by little on short baselines
+CLOCK_LEFT = 0.5  # the same of a clock, or of a sky elsewhere, which shifts phases by little on short baselines
 AMPLITUDE_TOLERANCE = 0.2
 FLUX_SCALES = 0.05
 """Spread of ln flux between the scales of catalogues, some per cent. The data of one array cannot tell it."""
@@ -123,16 +124,16 @@ def check_conventions(grid: ProcessGrid, problem: Problem, rows: Rows) -> dict[s
             table = _antenna_table(problem)
     table = bcast_object(grid.world, table)
     alternatives = basic_alternatives() + array_alternatives(observation, table, problem.job.data.redundancy_tol)
-    alternatives += time_alternatives(observation)
+    alternatives += sky_alternatives(problem) + time_alternatives(observation)
     scores = score_alternatives(grid, problem, rows, alternatives)
     stated, candidates = scores[0], _factor(scores[0])
-    clocks = []
+    timed = []
     for one, score in zip(alternatives[1:], scores[1:], strict=True):
         if one.tolerance is not None and score.betters(stated, CLOCK_LEFT):
-            clocks.append((score, one))
+            timed.append((score, one))
         elif one.tolerance is None and score.betters(stated, LEFT):
             candidates[one.name] = score, one.remedy
-    for score, one in sorted(clocks, key=lambda pair: pair[0].chi2)[:1]:
+    for score, one in sorted(timed, key=lambda pair: pair[0].chi2)[:1]:
         if _is_met(grid, problem, rows, one, score):
             candidates[one.name] = score, one.remedy
     found = min(candidates, key=lambda name: candidates[name][0].chi2, default=None)
@@ -235,19 +236,19 @@ def factor_log_odds(stated: Score, factor: float) -> tuple[float, float]:
     return with_factor - log_density(0.0, width), with_factor - any_scale
 
 
-def _is_met(grid: ProcessGrid, problem: Problem, rows: Rows, clock: Alternative, score: Score) -> bool:
-    """Tell whether the times are wrong by exactly the offset of that clock. Collective: all ranks of `grid.world`.
+def _is_met(grid: ProcessGrid, problem: Problem, rows: Rows, one: Alternative, score: Score) -> bool:
+    """Tell whether the times are wrong by exactly what that alternative says. Collective: all ranks of `grid.world`.
 
     A parabola through chi^2 on both sides has its minimum there: a timestamp that is wrong by anything else is not a
     matter of convention.
     """
-    assert clock.shift is not None
-    assert clock.tolerance is not None
-    probes = [replace(clock, shift=clock.shift + sign * PROBE) for sign in (-1, 1)]
+    assert one.shift is not None
+    assert one.tolerance is not None
+    probes = [replace(one, shift=one.shift + sign * PROBE) for sign in (-1, 1)]
     before, after = (one.chi2 for one in score_alternatives(grid, problem, rows, probes))
     bend = before + after - 2 * score.chi2
     if bend <= 0:
         return False
     offset = 0.5 * PROBE * (before - after) / bend
     std = PROBE * np.sqrt(2 / bend * max(score.chi2 / score.n, 1.0))
-    return bool(abs(offset) < clock.tolerance and std < 0.5 * clock.tolerance)
+    return bool(abs(offset) < one.tolerance and std < 0.5 * one.tolerance)

@@ -14,6 +14,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.beside_model import told_by_model
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
@@ -111,6 +112,8 @@ class _Rounds:
         """Weigh all effects and add the best; whether there is more to look for. Collective: all ranks of the grid."""
         context, history = self.search.context, self.search.history
         left = context.problem.job.loop.max_rounds - len(history.rounds)
+        if left > 0 and self.told is None and self._try_beside_model():
+            return True
         if self._exchange(only_more=left > 0):
             return True
         weighed = self._weighed(left)
@@ -144,6 +147,34 @@ class _Rounds:
         self._keep(added, outlook.after(added.after.fitted))
         self._grow(added)
         return True
+
+    def _try_beside_model(self) -> bool:
+        """Try what data say beside the model beam, where that leaves less than a fitted beam; whether it stays.
+
+        Collective: all ranks.
+        """
+        context, history = self.search.context, self.search.history
+        with self.search.clock.time("attribution"):
+            candidate = told_by_model(context, history.last.fitted, self.effects)
+        if candidate is None:
+            return False
+        self._tell("beside the model beam less is left")
+        with self.search.clock.time("trials"):
+            added = try_effects(context, history.last, (candidate,), history.tried)
+            added = _accept(context, history, added) if added is not None else None
+        if added is not None:
+            self._keep(added)
+        return added is not None
+
+    def _tell(self, what: str) -> None:
+        """Tell how well held-out data are predicted, and what comes next."""
+        history = self.search.history
+        say(f"round {len(history.rounds) + 1}: {_heldout(history.last)}; {what}", self._speaks)
+        self.told = history.last
+
+    @property
+    def _speaks(self) -> bool:
+        return self.search.context.grid.is_world_root and self.search.history.last is not self.told
 
     def _exchange(self, only_more: bool) -> bool:
         """Exchange an effect, which adds none; whether one was. Collective: all ranks.
@@ -207,9 +238,7 @@ class _Rounds:
         context, history = self.search.context, self.search.history
         if not history.rounds:
             self.search.save()
-        speaks = context.grid.is_world_root and history.last is not self.told
-        say(f"round {len(history.rounds) + 1}: {_heldout(history.last)}; weighing effects", speaks)
-        self.told = history.last
+        self._tell("weighing effects")
         if history.last.remains.consistent and self.adapt():
             # Beside nothing significant there are no rivals, which would have to be weighed again.
             self.known = None

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from mpi4py import MPI
 from pyuvdata import UVData
 
@@ -183,6 +185,37 @@ def test_through_a_wrong_beam(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["times in TAI", "times early by half a day"])
 def test_apparent_places(tmp_path: Path, name: str) -> None:
     assert check(problem_of(simulated(tmp_path, positions="apparent"), DAMAGES[name]))["found"] == name
+
+
+NAMES_OF_PLACES = "places of B1950", "places of J2000, read as B1950"
+
+
+@pytest.mark.parametrize("name", NAMES_OF_PLACES)
+def test_places_of_another_equinox(tmp_path: Path, name: str) -> None:
+    """What a catalogue states is what stands in the other frame, which astropy knows, of where the sources are."""
+    problem = problem_of(simulated(tmp_path, positions="apparent"))
+    places = SkyCoord(problem.sky.ra, problem.sky.dec, unit="rad")
+    stated = places.fk4 if name == NAMES_OF_PLACES[0] else SkyCoord(*_radians(places), unit="rad", frame="fk4").icrs
+    ra, dec = _radians(stated)
+    found = check(replace(problem, sky=replace(problem.sky, ra=ra, dec=dec)))
+    assert found["found"] == name
+    assert "catalogue" in found["remedy"]
+
+
+def _radians(places: SkyCoord) -> tuple[np.ndarray, np.ndarray]:
+    return places.ra.rad, places.dec.rad
+
+
+@pytest.mark.parametrize(
+    ("positions", "read_as", "name"),
+    [("lst", "apparent", "sky turned by sidereal time alone"), ("apparent", "lst", "apparent places")],
+)
+def test_how_the_sky_turns(tmp_path: Path, positions: str, read_as: Literal["apparent", "lst"], name: str) -> None:
+    job = simulated(tmp_path, positions=positions)
+    job = job.model_copy(update={"sky": job.sky.model_copy(update={"positions": read_as})})
+    found = check(problem_of(job))
+    assert found["found"] == name
+    assert f"positions = '{positions}'" in found["remedy"]
 
 
 def gains(uv: UVData) -> None:
