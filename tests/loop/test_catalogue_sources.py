@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hydrabeam_mpi.cli import main
-from tests.loop.mock import mock_job, write_job
+from tests.loop.mock import context_of, mock_job, truth_of, write_job
+from tests.loop.test_loop_command import assert_reproduced
 
 BRIGHT = [128.76963789466896, -33.88094300453313]
 """Of the mock sky, 6 degrees from the zenith."""
@@ -65,6 +67,35 @@ def test_a_source_beside_its_place(tmp_path: Path) -> None:
     injected = {"kind": "source_positions", "settings": {"sources": [BRIGHT]}, "parameters": told}
     off = found_of(tmp_path, injected, (131e6,))
     assert max(map(abs, off.values())) < 4
+
+
+def test_a_source_that_is_another_at_each_integration(tmp_path: Path) -> None:
+    """Its values at the fitted times are told; of the others nothing is known but how large they are."""
+    job = mock_job(n_times=24, sky={"n_sources": 300}, loop={"effects": [*OF_SOURCES, "antenna_gains", "gain_jitter"]})
+    job["seed"] = 3
+    job["data"]["simulate"]["array"] = {"hex": [3, 4]}
+    settings = {"law": "anew", "times": times_of(job, tmp_path / "plain"), "sources": [BRIGHT]}
+    job["data"]["simulate"]["effects"] = [{"kind": "catalogue_flux", "settings": settings, "strength": 1.0}]
+    assert main(["loop", str(write_job(job, tmp_path)), "-o", str(tmp_path / "out")]) == 0
+    loop = json.loads((tmp_path / "out" / "loop.json").read_text())
+    (one,) = loop["rounds"]
+    assert (loop["verdict"], one["effect"], one["law"]) == ("explained", "catalogue_flux", "anew")
+    assert "Catalogue sources that scintillate" in one["sentence"]
+    assert f"{NAME}: relative flux error 0." in one["sentence"]
+    assert " rms over 1" in one["sentence"]
+    context_of(job, tmp_path / "truth")
+    (drawn,) = truth_of(tmp_path / "truth")
+    truth = dict(zip(drawn["names"], np.ravel(drawn["values"]), strict=True))
+    off = [(one["value"] - truth[one["name"]]) / one["std"] for one in one["parameters"]]
+    assert max(map(abs, off)) < 4
+    assert main(["infer", str(tmp_path / "out" / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert_reproduced(tmp_path / "out", tmp_path / "again")
+
+
+def times_of(job: dict[str, Any], folder: Path) -> list[float]:
+    """Return the times, JD, that a simulation has."""
+    observation = context_of(job, folder).setup.observation
+    return list(observation.times.tolist())
 
 
 def test_a_source_that_scintillates(tmp_path: Path) -> None:

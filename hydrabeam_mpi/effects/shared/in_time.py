@@ -20,13 +20,14 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.anew_law import Anew
 from hydrabeam_mpi.effects.shared.correlated_law import Correlated
 from hydrabeam_mpi.effects.shared.displaced import added_by_displacing
 from hydrabeam_mpi.effects.shared.nightly_laws import Nightly, Sidereal
 from hydrabeam_mpi.effects.shared.time_laws import LEVEL, Piecewise, Smooth, TimeLaw
 from hydrabeam_mpi.model.positions import PositionsByTime, SourcePositions
 
-LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Sidereal, Nightly, Piecewise, Correlated)}
+LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Sidereal, Nightly, Piecewise, Anew, Correlated)}
 """By the names that jobs give them."""
 LEAST_TIMES = 4
 """Fitted times that tell a slope and a curvature and still contradict them."""
@@ -58,7 +59,8 @@ class InTime(ScannedEffect):
     def __init__(self, effect: Effect, law: TimeLaw) -> None:
         self.effect, self.time_law = effect, law
         self.kind, self.title, self.law = effect.kind, effect.title_in_time(law.name), law.name
-        self.shared, self.local, self.of_the_sky = effect.shared, effect.local, effect.of_the_sky
+        self.shared, self.of_the_sky = effect.shared, effect.of_the_sky
+        self.local = "times" if law.is_of_single_times else effect.local
         self.of_both_feeds, self.unphysical = effect.of_both_feeds, effect.unphysical
         self.is_seen_by_beam = effect.is_seen_by_beam
         self.multiplies, self.changes_sky, self.linear = effect.multiplies, effect.changes_sky, effect.linear
@@ -117,13 +119,17 @@ class InTime(ScannedEffect):
         }
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
-        """Return those of the effect with each of the functions; an element is one of its own with one function."""
+        """Return those of the effect with each of the functions; an element is one of its own with one function.
+
+        With single times it is one of its own: how large they all are is all that there is to find.
+        """
         own, functions = self._own_parameters(setup), self.time_law.names()
         n, of = len(functions), self._candidates(setup)
         number = np.arange(n)
         names = [f"{name}, {function}" for name in own.names for function in functions]
         units = [unit for unit in own.units for _ in functions]
-        element = (n * own.element[:, np.newaxis] + number).reshape(-1)
+        single = self.time_law.is_of_single_times
+        element = np.repeat(own.element, n) if single else (n * own.element[:, np.newaxis] + number).reshape(-1)
         of_functions = len(of.names()) if len(own) and n else 0
         parameters = Parameters.of(names, units, np.repeat(own.scale, n), element, trials=own.trials * of_functions)
         parameters = replace(parameters, sort=None if own.sort is None else np.repeat(own.sort, n))
@@ -167,6 +173,11 @@ class InTime(ScannedEffect):
         own = self._own_columns(block, x)
         functions = self._functions(block.setup)[block.times]
         n = functions.shape[1]
+        if self.time_law.is_of_single_times and n:
+            by_time = np.array([functions.any(axis=1), functions.argmax(axis=1)])[..., np.newaxis, np.newaxis]
+            of_own = np.arange(own.n_params) if own.index is None else own.index
+            number = np.broadcast_to(n * of_own + by_time[1], own.values.shape)
+            return Columns(own.values * by_time[0], n * own.n_params, number, own.by_group)
         values = own.values[..., np.newaxis] * functions[:, np.newaxis, np.newaxis]
         index = None if own.index is None else _several(n * own.index[..., np.newaxis] + np.arange(n))
         return Columns(_several(values), n * own.n_params, index, own.by_group)
@@ -289,15 +300,29 @@ class InTime(ScannedEffect):
     def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray
     ) -> list[tuple[BoolArray, Effect, FloatArray]]:
-        """Return all that jumps as what is constant, as it is at most times.
+        """Return all that jumps as what is constant, as it is at most times, and what is anew at each as a drift.
 
         What is constant a jump near the first time explains nearly as well, and with what all antennas have in common.
         """
+        if isinstance(self.time_law, Anew):
+            return [self._as_drift(setup, x.mean(axis=0), std.mean(axis=0))]
         if not isinstance(self.time_law, Piecewise):
             return []
         fitted = setup.times if setup.fitted is None else setup.fitted
         levels = [self._at_times(setup, one, fitted) for one in x]
         return [(np.ones(x.shape[1], dtype=bool), self.effect, np.median(levels, axis=1).mean(axis=0))]
+
+    def _as_drift(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> tuple[BoolArray, Effect, FloatArray]:
+        """Return what is anew at each time as a level that drifts, by the fitted times; all are (n_params,)."""
+        law = Smooth().over(setup.jd).candidates(setup.fitted_jd, setup.jd).with_level()
+        is_fitted = self.time_law.functions(setup.fitted_jd).any(axis=0)
+        polynomials, n = law.functions(setup.observation.times), len(self.time_law.names())
+        at_numbers = self._functions(setup).T @ polynomials
+        begun = np.zeros((len(x) // n, polynomials.shape[1]))
+        for own, values, errors in zip(begun, x.reshape(-1, n), std.reshape(-1, n), strict=True):
+            known = is_fitted & (errors > 0)
+            own[:] = np.linalg.lstsq(at_numbers[known] / errors[known, np.newaxis], values[known] / errors[known])[0]
+        return np.ones(len(x), dtype=bool), type(self)(self.effect, law), begun.reshape(-1)
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> InTime:
         """Return the effect with the best candidates; ``hypotheses`` is (Nchosen,)."""

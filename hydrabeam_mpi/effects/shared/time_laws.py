@@ -43,6 +43,8 @@ class TimeLaw(ABC):
     name: ClassVar[str]
     sought: ClassVar[bool] = True
     """Whether it is looked for in data; else it is there for those who name it."""
+    is_of_single_times: ClassVar[bool] = False
+    """Whether each of its functions is zero at all times but one."""
 
     @abstractmethod
     def candidates(self, fitted: FloatArray, times: FloatArray) -> Self:

@@ -53,7 +53,11 @@ class CatalogueFlux(PointSources):
     """Sources that are looked at."""
     functions_in_time: ClassVar[int] = MOST_ORDERS
     """All: sources scintillate, some times an hour or faster, and few do at once."""
-    laws: ClassVar = {"smooth": "catalogue sources that vary", "nightly": "catalogue sources that vary anew each night"}
+    laws: ClassVar = {
+        "smooth": "catalogue sources that vary",
+        "nightly": "catalogue sources that vary anew each night",
+        "anew": "catalogue sources that scintillate",
+    }
 
     def carried_over(self, setup: ObservingSetup) -> Self:
         """Return the errors of those of the sources that the catalogue has with which other data are modelled."""

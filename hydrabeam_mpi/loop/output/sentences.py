@@ -84,7 +84,7 @@ def _say_over(head: str, each: str, ones: Sequence[dict[str, Any]]) -> str:
     *others, largest = sorted(ones, key=lambda one: abs(one["value"]))
     of_others = math.hypot(*(one["value"] for one in others))
     rms = math.hypot(of_others, largest["value"]) / math.sqrt(len(ones))
-    said = f"{head} {rms:.3g}{_unit(ones[0])} rms over {len(ones)} {each}{_channel(ones[0])}"
+    said = f"{head.removesuffix(',')} {rms:.3g}{_unit(ones[0])} rms over {len(ones)} {each}{_channel(ones[0])}"
     if len(others) < 2 or abs(largest["value"]) <= of_others:
         return said
     where = largest["name"].removeprefix(head).strip()

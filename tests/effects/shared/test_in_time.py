@@ -10,8 +10,10 @@ import pytest
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import make_effect
+from hydrabeam_mpi.effects.shared.anew_law import Anew
 from hydrabeam_mpi.effects.shared.in_time import InTime
 from hydrabeam_mpi.effects.shared.time_laws import SECOND, Piecewise, Smooth
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.random import generator
 from tests.effects.cases import experiment_of
@@ -43,6 +45,30 @@ def test_a_law_does_not_go_on_beyond_the_times_in_which_it_was_found() -> None:
     assert not law.covers(TIMES + 1)
     assert not Smooth(orders=(1,)).covers(TIMES)
     np.testing.assert_array_equal(law.functions(TIMES + 1), np.tile(law.functions(TIMES)[-1], (31, 1)))
+
+
+def test_what_is_anew_at_each_time_has_a_number_for_each() -> None:
+    law = Anew().candidates(TIMES[::3], TIMES)
+    np.testing.assert_array_equal(law.functions(TIMES), np.eye(len(TIMES)))
+    # A file may round its times, and other data have other ones.
+    np.testing.assert_array_equal(law.functions(TIMES + 0.3 * SECOND), np.eye(len(TIMES)))
+    assert not law.functions(TIMES + 2 * SECOND).any()
+    assert law.first(3) == law
+    assert law.at([2, 0]).names() == [f"at JD {TIMES[0]:.5f}", f"at JD {TIMES[2]:.5f}"]
+    assert law.not_applicable(TIMES[::2], TIMES) is None
+    assert "600 at most" in str(law.not_applicable(TIMES, np.arange(601.0)))
+
+
+def test_how_large_it_is_all_its_times_have_in_common(setup: ObservingSetup) -> None:
+    sources = CatalogueFlux().foremost(setup, 2).sources
+    effect = changing("catalogue_flux", setup, law="anew", times=setup.observation.times.tolist(), sources=sources)
+    assert effect.parameters(setup).element.tolist() == [0] * 8 + [1] * 8
+    assert effect.local == "times"
+    x = np.zeros(16)
+    x[3] = 0.5
+    block = small_block(setup)
+    changed = np.abs(with_effect(effect, block, x) - block.vis).max(axis=1)
+    assert np.flatnonzero(changed).tolist() == [3]
 
 
 def test_jumps_are_looked_for_between_fitted_times_and_may_be_elsewhere_between_these() -> None:

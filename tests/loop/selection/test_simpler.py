@@ -16,8 +16,9 @@ from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
 from hydrabeam_mpi.effects.instrument.gain_jitter import GainJitter
 from hydrabeam_mpi.effects.instrument.orientation import Orientation
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
+from hydrabeam_mpi.effects.shared.anew_law import Anew
 from hydrabeam_mpi.effects.shared.in_time import InTime
-from hydrabeam_mpi.effects.shared.time_laws import Piecewise
+from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.elongated_source import ElongatedSource
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
@@ -214,6 +215,32 @@ def test_gains_that_were_taken_for_jittering_ones(jitters: bool, tmp_path: Path)
         in_use = {name: x for name, x in told.items() if x}
         assert in_use == pytest.approx(drift["parameters"], abs=5e-3)
         assert found[0].after.score.chi2 == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("scintillates", [False, True])
+def test_a_source_that_was_taken_for_a_scintillating_one(scintillates: bool, plain: FitContext, tmp_path: Path) -> None:
+    """It varies by a law where that says as much with less, and scintillates where it does not."""
+    n_times, sources = 18, [list(brightest(plain))]
+    times = context_of(mock_job(n_times=n_times), tmp_path / "plain").setup.observation.times
+    effect = InTime(CatalogueFlux(sources), Anew(times=tuple(times.tolist())))
+    if scintillates:
+        truth = {"kind": "catalogue_flux", "settings": effect.describe(), "strength": 1.0}
+    else:
+        drift = InTime(CatalogueFlux(sources), Smooth(orders=(2,)))
+        (name,) = drift.parameters(plain.setup).names
+        truth = {"kind": "catalogue_flux", "settings": drift.describe(), "parameters": {name: 0.3}}
+    context = context_of(mock_job(truth, n_times=n_times), tmp_path)
+    first = check(context, refit(context, Values()))
+    start = Active.start(effect, context.setup, np.full(n_times, 0.01), np.zeros((1, n_times)))
+    now = check(context, refit(context, Values((start,)), first.fitted))
+    found = simplified(context, now, [round_of(effect_candidate(effect), first, now)], [CatalogueFlux()], [])
+    assert (found is None) == scintillates
+    if found is not None:
+        (varying,) = found[0].after.fitted.values.active
+        names = varying.effect.parameters(context.setup).names
+        assert [names[i].split(", ")[1] for i in varying.used] == ["curvature"]
+        error = varying.x[0, varying.used[0]] - 0.3
+        assert abs(error) < 4 * found[0].after.fitted.fit.std[0][0, varying.used[0]] < 0.04
 
 
 @pytest.mark.parametrize("turn", [2.0, 3.1])
