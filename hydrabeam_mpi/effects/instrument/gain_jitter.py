@@ -112,9 +112,8 @@ class GainJitter(ScannedEffect):
         for law in [*([jumps] if jumps.jumps else []), drift]:
             effect, names = InTime(AntennaGains(), law), law.names()
             begun = np.zeros(len(effect.parameters(setup)))
-            for first, (times, values, errors) in zip(len(names) * own, rows, strict=True):
-                functions = law.functions(times) / errors[:, np.newaxis]
-                begun[first : first + len(names)] = np.linalg.lstsq(functions, values / errors, rcond=None)[0]
+            for first, row in zip(len(names) * own, rows, strict=True):
+                begun[first : first + len(names)] = law.numbers(*row)
             found.append((np.ones(x.shape[1], dtype=bool), effect, begun))
         return found
 

@@ -63,6 +63,14 @@ class Anew(TimeLaw):
         apart = np.abs(times[:, np.newaxis] - np.array(self.times).reshape(-1))
         return np.where(apart < 0.5 * SECOND, 1.0, 0.0)
 
+    def followed_by(self, law: TimeLaw, fitted: FloatArray, values: FloatArray, std: FloatArray) -> FloatArray:
+        """Return the numbers of another law, (n,), that come nearest to these at the ``fitted`` times, JD.
+
+        Values and errors are (Ntimes,); errors are zero where there is no value.
+        """
+        known = self.functions(fitted).any(axis=0) & (std > 0)
+        return law.numbers(np.array(self.times)[known], values[known], std[known])
+
     def describe(self) -> dict[str, Any]:
         """Return name, span and times."""
         return {**super().describe(), "times": list(self.times)}

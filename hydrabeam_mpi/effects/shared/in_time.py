@@ -305,24 +305,18 @@ class InTime(ScannedEffect):
         What is constant a jump near the first time explains nearly as well, and with what all antennas have in common.
         """
         if isinstance(self.time_law, Anew):
-            return [self._as_drift(setup, x.mean(axis=0), std.mean(axis=0))]
+            law, n = (
+                Smooth().over(setup.jd).candidates(setup.fitted_jd, setup.jd).with_level(),
+                len(self.time_law.names()),
+            )
+            rows = zip(x.mean(axis=0).reshape(-1, n), std.mean(axis=0).reshape(-1, n), strict=True)
+            begun = [self.time_law.followed_by(law, setup.fitted_jd, *row) for row in rows]
+            return [(np.ones(x.shape[1], dtype=bool), type(self)(self.effect, law), np.concatenate(begun))]
         if not isinstance(self.time_law, Piecewise):
             return []
         fitted = setup.times if setup.fitted is None else setup.fitted
         levels = [self._at_times(setup, one, fitted) for one in x]
         return [(np.ones(x.shape[1], dtype=bool), self.effect, np.median(levels, axis=1).mean(axis=0))]
-
-    def _as_drift(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> tuple[BoolArray, Effect, FloatArray]:
-        """Return what is anew at each time as a level that drifts, by the fitted times; all are (n_params,)."""
-        law = Smooth().over(setup.jd).candidates(setup.fitted_jd, setup.jd).with_level()
-        is_fitted = self.time_law.functions(setup.fitted_jd).any(axis=0)
-        polynomials, n = law.functions(setup.observation.times), len(self.time_law.names())
-        at_numbers = self._functions(setup).T @ polynomials
-        begun = np.zeros((len(x) // n, polynomials.shape[1]))
-        for own, values, errors in zip(begun, x.reshape(-1, n), std.reshape(-1, n), strict=True):
-            known = is_fitted & (errors > 0)
-            own[:] = np.linalg.lstsq(at_numbers[known] / errors[known, np.newaxis], values[known] / errors[known])[0]
-        return np.ones(len(x), dtype=bool), type(self)(self.effect, law), begun.reshape(-1)
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> InTime:
         """Return the effect with the best candidates; ``hypotheses`` is (Nchosen,)."""

@@ -86,6 +86,10 @@ class TimeLaw(ABC):
         """Return the law with so many of its functions, or of each night, where these have their own."""
         return self.at(range(len(self.names()))[:n])
 
+    def numbers(self, times: FloatArray, values: FloatArray, std: FloatArray) -> FloatArray:
+        """Return the numbers, (n,), that come nearest to values with these errors; all are (Ntimes,)."""
+        return np.asarray(np.linalg.lstsq(self.functions(times) / std[:, np.newaxis], values / std, rcond=None)[0])
+
     def anew(self, times: FloatArray) -> tuple[Self, list[list[int]]] | None:
         """Return the law over other ``times``, JD, where only the sizes of its numbers are known.
 
