@@ -32,6 +32,10 @@ UNDECIDABLE = (
     ("common pointing", "all antennas tilted alike are the same as another beam"),
     ("common echo", "echoes alike in all cables are the same as beams that are larger and smaller by channel"),
     ("clock and longitude", "data that were taken later are those of a place further East"),
+    (
+        "scale of the array and refraction towards the zenith",
+        "sources that are R tan(za) nearer to the zenith are seen by baselines that are shorter by R, 0.029% an arcmin",
+    ),
 )
 UNDECIDABLE_LEAKAGE = (
     "common leakage, c in d_e + c and d_n - c*",

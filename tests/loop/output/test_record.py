@@ -230,9 +230,9 @@ def test_what_is_no_effect_is_neither_ranked_nor_tried(context: FitContext) -> N
 
 
 LEAKAGE = {
-    "found": ({"effect": "leakage", "title": "leakage", "parameters": [], "sentence": "Leakage."}, "rounds", 6),
-    "refused": ({"effect": "leakage", "log_bayes_factor": 1.0, "reason": "it is little"}, "tried", 5),
-    "not looked for": ({"effect": "leakage", "reason": "the files have ee"}, "skipped", 5),
+    "found": ({"effect": "leakage", "title": "leakage", "parameters": [], "sentence": "Leakage."}, "rounds", 7),
+    "refused": ({"effect": "leakage", "log_bayes_factor": 1.0, "reason": "it is little"}, "tried", 6),
+    "not looked for": ({"effect": "leakage", "reason": "the files have ee"}, "skipped", 6),
 }
 
 
